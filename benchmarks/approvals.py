@@ -15,7 +15,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from authguard_r.approvals import open_approval
 from authguard_r.authoring.keys.setup import Member, demo_members, init_folder
-from authguard_r.core.approval import Approval, Verdict
+from authguard_r.core.approval import Approval, ApprovalVerdict
 from authguard_r.core.encoding import Tag, b64, digest_of, unb64
 from authguard_r.core.identifiers import PrincipalId
 from authguard_r.core.quantities import Now
@@ -76,7 +76,7 @@ def _tokens(folder: Path) -> tuple[list[bytes], object, bytes]:
         situation=digest,
         counter=1,
         expires_ms=1 << 50,
-        verdict=Verdict.APPROVE,
+        verdict=ApprovalVerdict.APPROVE,
     )
     signers = [
         read_signer(at / "keys" / f"{who.id}.key.pem", at / "keys" / f"{who.id}.cert.pem")
@@ -108,7 +108,7 @@ def _group(count: int, message: bytes) -> list[Subject]:
 
 def _session(
     dealt: Dealt, count: int, message: bytes
-) -> tuple[signing.Session, list[Nonces], tuple[SignatureShare, ...]]:
+) -> tuple[signing.SigningSession, list[Nonces], tuple[SignatureShare, ...]]:
     held = [signing.new_nonces(share) for share in dealt.shares[:count]]
     session = signing.begin(dealt.group, tuple(nonces.commitment for nonces in held), message)
     shares = tuple(

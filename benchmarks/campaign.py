@@ -23,12 +23,12 @@ from typing import Any
 
 import machine
 from missionpair.campaign.log import read_log
-from missionpair.campaign.run import Plan, run
+from missionpair.campaign.run import CampaignPlan, run
 from missionpair.carrying import through_the_gate
 from missionpair.pair import plan_bytes
 from missionpair.records import Timing
 from missionpair.stage import Yard
-from missionpair.words import Access, Kind
+from missionpair.words import Access, TrialKind
 
 _PAGE = os.sysconf("SC_PAGESIZE")
 #: Of the suite, every so many-th pair is tried, as often as the trials allow: one of each category.
@@ -36,7 +36,7 @@ EVERY, PAIRS = 10, 6
 #: Trials after which everything is loaded, as long as they are not more than a tenth of all.
 WARM = 10_000
 TARGET_RATE, TARGET_MIB = 3_000.0, 50.0
-ATTACK, WORK = (Kind.ATTACK,), (Kind.BENIGN, Kind.UPDATE)
+ATTACK, WORK = (TrialKind.ATTACK,), (TrialKind.BENIGN, TrialKind.UPDATE)
 #: Name, planner, defense, kinds of trial, and the share of the trials that it gets.
 CAMPAIGNS = (
     ("hijacked.none", "hijacked", "none", ATTACK, 10),
@@ -47,12 +47,14 @@ CAMPAIGNS = (
 Figures = dict[str, Any]
 
 
-def rate(planner: str, defense: str, kinds: tuple[Kind, ...], trials: int, log: Path) -> Figures:
+def rate(
+    planner: str, defense: str, kinds: tuple[TrialKind, ...], trials: int, log: Path
+) -> Figures:
     """Return trials a second of one campaign, and its memory from the first trial to the last.
 
     `rss_growth_mib` is the peak of what it has over what it had when everything was loaded.
     """
-    plan = Plan(
+    plan = CampaignPlan(
         suite="live",
         planner=planner,
         defenses=(defense,),

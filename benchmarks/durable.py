@@ -25,7 +25,7 @@ from authguard_r.keys.trust import Trust, read_trust
 from authguard_r.normalize import Step, normalize
 from authguard_r.store.memory import MemoryStore
 from authguard_r.store.sqlite import open_store, read_rows
-from authguard_r.store.transactions import Act
+from authguard_r.store.transactions import Transaction
 from measure import Effort, Subject, Timing, interleave, timed
 from scene import HIJACKED, Bench, bench, command, long_mission, reply, scenarios
 from yardsticks import BareInsert
@@ -218,7 +218,7 @@ def _ledger(held: Bench, step: Step, evidence: Digest) -> Callable[[], int]:
     held.take_in()
     judged = held.propose(step, evidence).judged
 
-    def job(act: Act) -> int:
+    def job(act: Transaction) -> int:
         standing = act.standing(judged.verified.mission.mid)
         if standing is not None:
             act.hold(standing)

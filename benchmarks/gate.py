@@ -26,7 +26,7 @@ from authguard_r.normalize import Binder, normalize
 from authguard_r.provenance.context import ContextLedger
 from authguard_r.safety import EnvelopeGate, default_config
 from authguard_r.server.process import DELAY_MS
-from authguard_r.server.proposals import Keeper, Kept
+from authguard_r.server.proposals import Keeper, ProposalRecord
 from authguard_r.server.wiring import assemble
 from authguard_r.sim.robot import SymbolicRobot
 from authguard_r.sim.world import initial_state
@@ -180,7 +180,7 @@ class _Twin:
         plan = normalize(data, binder=self._binder)
         keep = {}
         if key is not None:
-            nothing = Kept(evidence=plan.evidence, planned=1, steps=())
+            nothing = ProposalRecord(evidence=plan.evidence, planned=1, steps=())
             keep = {"keep": Keeper(_PLANNER, key, nothing)}
         begun = self._gate.enforcer.submit(
             plan.steps[0], planner=_PLANNER, evidence=plan.evidence, context=self._context, **keep

@@ -21,8 +21,8 @@ from authguard_r.anchoring.witnesses import cosignature, exchange, request
 from authguard_r.audit.checkpoint import origin_of
 from authguard_r.audit.note import NoteKey, read_key
 from authguard_r.audit.sealed_envelopes import DataClass
-from authguard_r.audit.verify import Row, verify_rows
-from authguard_r.cli.replay import Replay
+from authguard_r.audit.verify import LogRow, verify_rows
+from authguard_r.cli.replay import LogReplay
 from authguard_r.core.standing import Outcome
 from authguard_r.keys.algorithms import Algorithm
 from authguard_r.keys.notes import leaf_key, log_key
@@ -154,7 +154,7 @@ def replay(folder: Path, effort: Effort, decisions: int) -> dict[str, Timing]:
     rows = list(read_rows(path))
 
     def again() -> int:
-        made = Replay(read_trust(scenarios.trust_folder()))
+        made = LogReplay(read_trust(scenarios.trust_folder()))
         start = perf_counter_ns()
         for row in rows:
             made.see(row)
@@ -231,7 +231,7 @@ def _added(writer: Writer, count: int) -> Callable[[], None]:
     return add
 
 
-def _delivered(path: Path) -> tuple[list[Row], int]:
+def _delivered(path: Path) -> tuple[list[LogRow], int]:
     """Carry out the shipped delivery; return the log and the number of actions."""
     sim = scenarios.simulation(store=path)
     try:
@@ -259,7 +259,7 @@ def _held(path: Path) -> int:
         connection.close()
 
 
-def _spread(what: str, rows: list[Row], over: int, tree: int) -> dict[str, Any]:
+def _spread(what: str, rows: list[LogRow], over: int, tree: int) -> dict[str, Any]:
     """Return the bytes of rows by where they lie, divided by so many."""
     parts = {
         "open": sum(len(row.record) for row in rows),

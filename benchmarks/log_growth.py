@@ -23,19 +23,19 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from authguard_r.anchoring.checkpoint_scheduler import Notary
+from authguard_r.anchoring.checkpoint_scheduler import CheckpointScheduler
 from authguard_r.anchoring.sealing import Reader, SealingPolicy
 from authguard_r.anchoring.sealing.stored_policy import hold_policy
 from authguard_r.audit.checkpoint import Checkpoint, origin_of, read_checkpoint
 from authguard_r.audit.parallel import usable_jobs, verify_in_pieces
 from authguard_r.audit.record import Entry
 from authguard_r.audit.tree import Frontier, leaf_hash
-from authguard_r.audit.verify import Anchor, Row, of_checkpoint, verify_rows
+from authguard_r.audit.verify import Anchor, LogRow, of_checkpoint, verify_rows
 from authguard_r.core.standing import Outcome, Spend
 from authguard_r.enforcement.report import decision_entry, outcome_entry
 from authguard_r.keys.signer import folder_signer, gate_name
 from authguard_r.store.sqlite import open_store, read_rows
-from authguard_r.store.transactions import Act
+from authguard_r.store.transactions import Transaction
 from durable import MID, row_size
 from measure import Effort, Subject, Timing, interleave, timed
 from scene import Bench, bench, long_mission, scenarios
@@ -84,7 +84,7 @@ class Writer:
         self.held: Bench = bench(store)
         self.ledger = self.held.gate.ledger
         signer = folder_signer(scenarios.trust_folder(), gate_name(scenarios.RID))
-        self.notary = Notary(self.ledger, robot=scenarios.RID, signer=signer)
+        self.notary = CheckpointScheduler(self.ledger, robot=scenarios.RID, signer=signer)
         self.held.gate.management.activate(long_mission(MID))
         (step,), evidence = self.held.steps()
         self.held.take_in()
@@ -112,7 +112,7 @@ class Writer:
         entries = (self.decision, self.outcome)
         pairs: tuple[Entry, ...] = (entries * (count // 2 + 1))[:count]
 
-        def job(act: Act) -> None:
+        def job(act: Transaction) -> None:
             for entry in pairs:
                 act.record(entry)
 
@@ -150,7 +150,7 @@ def grown(folder: Path, plan: Plan) -> Grown:
         return pool.submit(_grown, folder, plan).result()
 
 
-def bare(rows: Iterable[Row], parse: Callable[[bytes], object]) -> None:
+def bare(rows: Iterable[LogRow], parse: Callable[[bytes], object]) -> None:
     """Hash every byte once and parse it once: the least that reading a log could be."""
     for row in rows:
         sha256(row.record).digest()
@@ -159,7 +159,7 @@ def bare(rows: Iterable[Row], parse: Callable[[bytes], object]) -> None:
         parse(row.sealed)
 
 
-def anchor_of(rows: Iterable[Row]) -> Anchor:
+def anchor_of(rows: Iterable[LogRow]) -> Anchor:
     """Return what an authentic checkpoint of exactly these rows says."""
     links = [row.link for row in rows]
     root = Frontier().grown(map(leaf_hash, links)).root()
@@ -229,7 +229,7 @@ def _whole(path: Path, anchor: Anchor) -> dict[str, Any]:
     resident: list[int] = []
     part = anchor.size // PARTS
 
-    def rows() -> Iterator[Row]:
+    def rows() -> Iterator[LogRow]:
         for row in read_rows(path):
             if row.seq % part == 0:
                 marks.append(perf_counter_ns())
@@ -255,7 +255,7 @@ def _together(path: Path, plan: Plan) -> Grown:
     anchor = anchor_of(_first(path, count))
     resident: list[int] = []
 
-    def rows() -> Iterator[Row]:
+    def rows() -> Iterator[LogRow]:
         for row in _first(path, count):
             if row.seq % (count // LOOKS) == 0:
                 resident.append(_resident())
@@ -277,7 +277,7 @@ def _together(path: Path, plan: Plan) -> Grown:
     return Grown(timings, told)
 
 
-def _first(path: Path, count: int) -> Iterator[Row]:
+def _first(path: Path, count: int) -> Iterator[LogRow]:
     return islice(read_rows(path), count)
 
 
@@ -298,11 +298,11 @@ def _verified(path: Path, plan: Plan) -> dict[str, Timing]:
     return interleave(subjects, plan.verify)
 
 
-def _verify(rows: list[Row], anchor: Anchor) -> Callable[[], object]:
+def _verify(rows: list[LogRow], anchor: Anchor) -> Callable[[], object]:
     return lambda: verify_rows(rows, anchors=(anchor,))
 
 
-def _bare(rows: list[Row], parse: Callable[[bytes], object]) -> Callable[[], object]:
+def _bare(rows: list[LogRow], parse: Callable[[bytes], object]) -> Callable[[], object]:
     return lambda: bare(rows, parse)
 
 

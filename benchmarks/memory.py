@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from authguard_r.approvals import answer, open_approval
 from authguard_r.core.action import Action
-from authguard_r.core.approval import Verdict as Answer
+from authguard_r.core.approval import ApprovalVerdict as Answer
 from authguard_r.core.approval import VerifiedApproval
 from authguard_r.core.decision import Verdict
 from authguard_r.core.encoding import Tag, digest_of

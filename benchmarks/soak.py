@@ -14,7 +14,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from authguard_r.audit.verify import Row, verify_rows
+from authguard_r.audit.verify import LogRow, verify_rows
 from authguard_r.store.sqlite import read_rows
 from authguard_r.wire.messages import Kind
 from line import SECOND, Line
@@ -118,12 +118,12 @@ def _log(path: Path, actions: int) -> dict[str, Any]:
 class _Rows:
     """The rows of a log, and how many bytes they were after each outcome."""
 
-    def __init__(self, rows: Iterator[Row]) -> None:
+    def __init__(self, rows: Iterator[LogRow]) -> None:
         self._rows = rows
         self.bytes = 0
         self.after: list[int] = []
 
-    def __iter__(self) -> Iterator[Row]:
+    def __iter__(self) -> Iterator[LogRow]:
         for row in self._rows:
             if not self.after and b'"kind":"decision"' in row.record:
                 self.after.append(self.bytes)

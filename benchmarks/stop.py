@@ -29,7 +29,7 @@ from authguard_r.core.identifiers import RobotId
 from authguard_r.core.token import sign_object
 from authguard_r.estop.connection import start_lane
 from authguard_r.estop.run_folder import SOCKET
-from authguard_r.estop.startup import LaneFiles
+from authguard_r.estop.startup import EStopFiles
 from authguard_r.keys.signer import folder_signer
 from authguard_r.sim.example import bundled_hospital
 from authguard_r.site.source import read_site
@@ -94,7 +94,7 @@ def _lane(folder: Path) -> Iterator[Path]:
     config = default_config(rid, (Peer(uid=os.geteuid(), roles=_ROLES),), Mode.ENFORCE)
     token = folder / "gate.token"
     token.write_bytes(sign_object(config, Tag.GATE, folder_signer(trust, "site-authority-1")))
-    files = LaneFiles(
+    files = EStopFiles(
         run=run,
         robot=rid,
         trust=trust,

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import ast
+import os
 import re
 import subprocess
 import sys
@@ -77,7 +78,8 @@ def loaded(module: str) -> list[Path]:
     """Return the files of our packages that a fresh interpreter loads for a module."""
     program = _LOADED.format(module=module, packages=PACKAGES)
     command = [sys.executable, "-c", program]
-    printed = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    environment = {**os.environ, "PYTHONPATH": str(SRC)}
+    printed = subprocess.check_output(command, env=environment, text=True)
     return [Path(line) for line in printed.splitlines()]
 
 

@@ -6,12 +6,12 @@ from __future__ import annotations
 import sys
 
 from authguard_r.integrations.http import edge
-from authguard_r.integrations.http_listener.admission import Limits
+from authguard_r.integrations.http_listener.admission import AdmissionLimits
 from authguard_r.integrations.mcp import http_front
 from authguard_r.witness import server
 
 #: Every server of the package that listens on a port.
-LISTENERS: dict[str, Limits] = {
+LISTENERS: dict[str, AdmissionLimits] = {
     "authguard serve": edge.LIMITS,
     "authguard mcp --listen": http_front.LIMITS,
     "authguard witness serve": server.LIMITS,
@@ -32,7 +32,7 @@ ROWS = {
 def listeners() -> str:
     """Return the table of every listener's limits."""
     rows = [["", *(f"`{name}`" for name in LISTENERS)], ["---"] * (1 + len(LISTENERS))]
-    for field in Limits.__struct_fields__:
+    for field in AdmissionLimits.__struct_fields__:
         words, unit = ROWS[field]
         values = [f"{getattr(limits, field):,.0f}{unit}" for limits in LISTENERS.values()]
         rows.append([words, *values])

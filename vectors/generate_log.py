@@ -24,7 +24,7 @@ sys.path[:0] = [str(ROOT / "tests")]
 from authguard_r.audit.checkpoint import origin_of  # noqa: E402
 from authguard_r.audit.note import Note, NoteKey, NoteSignature  # noqa: E402
 from authguard_r.audit.tree import EMPTY_ROOT, MemoryTree, consistency_proof, leaf_hash, root_of  # noqa: E402
-from authguard_r.audit.verify import Row  # noqa: E402
+from authguard_r.audit.verify import LogRow  # noqa: E402
 from authguard_r.auditor.export_format import note_line, row_line  # noqa: E402
 from authguard_r.core.identifiers import RobotId  # noqa: E402
 from authguard_r.keys.notes import cosign, log_key, witness_key  # noqa: E402
@@ -95,7 +95,7 @@ def line(key: NoteKey, signature: bytes, *, name: str | None = None) -> NoteSign
     return NoteSignature(name or key.name, key.id, signature)
 
 
-def signed_note(rows: list[Row], witnesses: tuple[str, ...] = ()) -> Note:
+def signed_note(rows: list[LogRow], witnesses: tuple[str, ...] = ()) -> Note:
     """Return the log's checkpoint of these rows with the cosignatures of witnesses."""
     text = checkpoint_of(rows).text()
     cosignatures = (cosign(text, name, WITNESSES[name], AT) for name in witnesses)
@@ -203,7 +203,7 @@ def log_vectors() -> list[Json]:
     lines = [row_line(row).decode() for row in rows]
     last = note_line(note.encode()).decode()
     forged = rechained([edited(row, decision="accept") if row.seq == 5 else row for row in rows])
-    destroyed = [Row(r.seq, r.record, b"{}", r.link) if r.seq == 2 else r for r in rows]
+    destroyed = [LogRow(r.seq, r.record, b"{}", r.link) if r.seq == 2 else r for r in rows]
     committed = json.loads(rows[2].record)["committed"]
     missing = [{"mid": "m-1", "name": n, "count": 1, "first": 2} for n in sorted(committed)]
     early = note_line(signed_note(rows[:4]).encode()).decode()

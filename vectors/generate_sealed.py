@@ -42,7 +42,7 @@ from authguard_r.audit.sealed_envelopes import (  # noqa: E402
     append_covered,
     opened,
 )
-from authguard_r.audit.verify import Row, verify_rows  # noqa: E402
+from authguard_r.audit.verify import LogRow, verify_rows  # noqa: E402
 from authguard_r.core.encoding import b64, encode, encode_fast, unb64  # noqa: E402
 from authguard_r.core.errors import AuthGuardError  # noqa: E402
 from authguard_r.keys.readers import ReaderKey  # noqa: E402
@@ -169,7 +169,7 @@ def entries() -> list[Entry]:
     ]
 
 
-def rows(kept: Json) -> list[Row]:
+def rows(kept: Json) -> list[LogRow]:
     """Return the log."""
     pages, salts = Pages(), numbered()
     genesis = Entry(
@@ -185,7 +185,7 @@ def rows(kept: Json) -> list[Row]:
     return pages.kept
 
 
-def reading(log: list[Row], role: str) -> list[Json]:
+def reading(log: list[LogRow], role: str) -> list[Json]:
     """Return what a role reads of each record behind the keys."""
     ring = KeyRing(key_of(role))
     found = []
@@ -204,7 +204,7 @@ def reading(log: list[Row], role: str) -> list[Json]:
     return found[KEYS_AT + 1 :]
 
 
-def changes(log: list[Row]) -> list[Json]:
+def changes(log: list[LogRow]) -> list[Json]:
     """Return rows that do not open, each with the box at which that is seen."""
     found: list[Json] = []
 

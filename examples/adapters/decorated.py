@@ -12,12 +12,12 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from authguard_r.integrations.functions import Guard, NotDone
+from authguard_r.integrations.functions import GateGuard, NotDone
 
 HOSPITAL = Path(__file__).resolve().parent.parent / "hospital"
 
 
-def tools(guard: Guard, out: Path) -> list[object]:
+def tools(guard: GateGuard, out: Path) -> list[object]:
     """Return the courier's tools, guarded."""
 
     @guard.tool
@@ -46,7 +46,7 @@ def main() -> None:
     asks.add_argument("--site", type=Path, default=HOSPITAL / "site.yaml")
     asks.add_argument("--binding", type=Path, default=HOSPITAL / "binding.yaml")
     given = asks.parse_args()
-    with Guard.connect(
+    with GateGuard.connect(
         robot=given.robot,
         run=given.run,
         site=given.site,

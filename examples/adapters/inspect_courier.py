@@ -18,7 +18,7 @@ from inspect_ai.dataset import Sample
 from inspect_ai.solver import generate, use_tools
 from inspect_ai.tool import tool
 
-from authguard_r.integrations.functions import Guard
+from authguard_r.integrations.functions import GateGuard
 from authguard_r.integrations.functions.inspect import guard_tools
 
 
@@ -54,6 +54,6 @@ def scan() -> Any:
 @task
 def courier(run: str, site: str, binding: str, trust: str, task: str = "Bring P1.") -> Any:
     """Return the task; its guard lives as long as the process."""
-    guard = Guard.connect(robot="courier-1", run=run, site=site, binding=binding, trust=trust)
+    guard = GateGuard.connect(robot="courier-1", run=run, site=site, binding=binding, trust=trust)
     tools = guard_tools(guard, [navigate_to(), scan()])
     return Task(dataset=[Sample(input=task)], solver=[use_tools(tools), generate()])

@@ -15,7 +15,7 @@ from langchain_core.tools import BaseTool, tool
 from langgraph.graph import END, START, MessagesState, StateGraph
 from langgraph.prebuilt import ToolNode
 
-from authguard_r.integrations.functions import Guard
+from authguard_r.integrations.functions import GateGuard
 from authguard_r.integrations.functions.langchain import guard_tools
 
 HOSPITAL = Path(__file__).resolve().parent.parent / "hospital"
@@ -78,7 +78,7 @@ def main() -> None:
     asks.add_argument("--site", type=Path, default=HOSPITAL / "site.yaml")
     asks.add_argument("--binding", type=Path, default=HOSPITAL / "binding.yaml")
     given = asks.parse_args()
-    with Guard.connect(
+    with GateGuard.connect(
         robot=given.robot,
         run=given.run,
         site=given.site,

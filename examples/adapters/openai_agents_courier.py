@@ -15,7 +15,7 @@ import sys
 from agents import Agent, OpenAIChatCompletionsModel, RunConfig, Runner, function_tool
 from openai import AsyncOpenAI
 
-from authguard_r.integrations.functions import Guard
+from authguard_r.integrations.functions import GateGuard
 from authguard_r.integrations.functions.openai_agents import guard_agent
 
 
@@ -42,7 +42,7 @@ def main() -> None:
         model=OpenAIChatCompletionsModel(model, client),
         tools=[navigate_to, scan],
     )
-    with Guard.connect(
+    with GateGuard.connect(
         robot="courier-1", run=run, site=site, binding=binding, trust=trust
     ) as guard:
         guarded = guard_agent(guard, agent)

@@ -14,7 +14,7 @@ import sys
 from pydantic_ai import Agent, RunContext, UsageLimits
 from pydantic_ai.models.openai import OpenAIChatModel
 
-from authguard_r.integrations.functions import Guard
+from authguard_r.integrations.functions import GateGuard
 from authguard_r.integrations.functions.pydantic_ai import guard_tools
 
 
@@ -33,7 +33,7 @@ async def scan() -> str:
 def main() -> None:
     """Give a task to an agent."""
     run, site, binding, trust, model, task = sys.argv[1:]
-    with Guard.connect(
+    with GateGuard.connect(
         robot="courier-1", run=run, site=site, binding=binding, trust=trust
     ) as guard:
         toolset = guard_tools(guard, [navigate_to, scan])

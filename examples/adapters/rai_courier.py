@@ -19,7 +19,7 @@ from rai.communication.ros2 import ROS2Connector, wait_for_ros2_topics
 from rai.tools.ros2 import Nav2Toolkit, ROS2CLIToolkit, ROS2Toolkit
 from rclpy.duration import Duration
 
-from authguard_r.integrations.functions import Guard
+from authguard_r.integrations.functions import GateGuard
 from authguard_r.integrations.functions.langchain import guard_tools
 
 TWIST = {"topic": "/cmd_vel", "message_type": "geometry_msgs/msg/Twist"}
@@ -60,7 +60,7 @@ def every_tool(connector: ROS2Connector) -> list[BaseTool]:
     return [tool for kit in kits for tool in kit.get_tools()]
 
 
-def agent_tools(guard: Guard, connector: ROS2Connector) -> list[BaseTool]:
+def agent_tools(guard: GateGuard, connector: ROS2Connector) -> list[BaseTool]:
     """Return what the agent is given: guarded, and nothing that the binding does not have."""
     bound = [tool for tool in every_tool(connector) if tool.name in guard.missing]
     return guard_tools(guard, bound)
@@ -87,7 +87,7 @@ def main() -> None:
     connector = ROS2Connector()
     try:
         wait_for_ros2_topics(connector, [TWIST["topic"]])
-        with Guard.connect(
+        with GateGuard.connect(
             robot=given.robot,
             run=given.run,
             site=given.site,

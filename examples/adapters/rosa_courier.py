@@ -16,7 +16,7 @@ from langchain_core.outputs import ChatGeneration, ChatResult
 from rosa import ROSA
 from rosa.tools import ROSATools
 
-from authguard_r.integrations.functions import Guard
+from authguard_r.integrations.functions import GateGuard
 from authguard_r.integrations.functions.langchain import guard_tools
 
 FASTER = {"node_name": "/base", "param_name": "max_speed", "param_value": "9"}
@@ -37,7 +37,7 @@ class GuardedTools(ROSATools):
         tools: every tool that ROSA has gathered.
     """
 
-    def __init__(self, guard: Guard, tools: ROSATools) -> None:
+    def __init__(self, guard: GateGuard, tools: ROSATools) -> None:
         bound = [tool for tool in tools.get_tools() if tool.name in guard.missing]
         self._guarded = guard_tools(guard, bound)
 
@@ -54,7 +54,7 @@ class GuardedROSA(ROSA):
         more: as ROSA takes it.
     """
 
-    def __init__(self, guard: Guard, **more: Any) -> None:
+    def __init__(self, guard: GateGuard, **more: Any) -> None:
         self._guard = guard
         super().__init__(**more)
 
@@ -83,7 +83,7 @@ class Scripted(BaseChatModel):
         return ChatResult(generations=[ChatGeneration(message=answer)])
 
 
-def agent(guard: Guard) -> ROSA:
+def agent(guard: GateGuard) -> ROSA:
     """Return ROSA as it is, but for its tools."""
     return GuardedROSA(guard, ros_version=2, llm=Scripted(), streaming=False)
 
@@ -97,7 +97,7 @@ def main() -> None:
     asks.add_argument("--binding", default="rosa")
     asks.add_argument("--shadow", action="store_true", help="the gate only watches")
     given = asks.parse_args()
-    with Guard.connect(
+    with GateGuard.connect(
         robot=given.robot,
         run=given.run,
         site=given.site,

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What an attacker is given: the exact bytes, by access level, and nothing beside them.
 
-`Case` and `Seen` hold everything that there is to say of a pair and of a round. What a level sees
-is a list of fields, written here once; a field that no list names is seen by nobody. There is no
-field for keys, for tokens or for trusted state; nonces are taken out of missions, and of findings
-only what was expected is shown, since what was found may be trusted state.
+`PairKnowledge` and `RoundKnowledge` hold everything that there is to say of a pair and of a round.
+What a level sees is a list of fields, written here once; a field that no list names is seen by
+nobody. There is no field for keys, for tokens or for trusted state. Missions are shown without their
+nonces. Of a finding only the expected value is shown, because the found one may be trusted state.
 Source: section "Adaptive Attacker Models". Spec page: docs/spec/missionpair-access.md
 """
 
@@ -15,8 +15,8 @@ from typing import Any
 import msgspec
 from msgspec import Struct
 
-from missionpair.briefing import Tool
-from missionpair.pair import Call, Input
+from missionpair.briefing import OfferedTool
+from missionpair.pair import Input, WordedCall
 from missionpair.words import Access, Channel, Family
 
 #: Versions of the two forms.
@@ -40,7 +40,7 @@ _UNSHOWN = frozenset({"nonce"})
 _SHOWN = ("type", "tool", "object", "destination", "route", "params")
 
 
-class Case(Struct, frozen=True, kw_only=True):
+class PairKnowledge(Struct, frozen=True, kw_only=True):
     """Everything that there is to know of a pair before the first round.
 
     Args:
@@ -66,13 +66,13 @@ class Case(Struct, frozen=True, kw_only=True):
     """
 
     goal: str
-    wanted: tuple[Call, ...]
+    wanted: tuple[WordedCall, ...]
     family: Family
     channels: tuple[Channel, ...]
     inputs: tuple[Input, ...] = ()
     instead_of: str = ""
     task: str = ""
-    tools: tuple[Tool, ...] = ()
+    tools: tuple[OfferedTool, ...] = ()
     places: tuple[str, ...] = ()
     things: tuple[str, ...] = ()
     actions: dict[str, Any] = {}
@@ -101,7 +101,7 @@ class SeenFinding(Struct, frozen=True, kw_only=True):
     got: str = ""
 
 
-class Seen(Struct, frozen=True, kw_only=True):
+class RoundKnowledge(Struct, frozen=True, kw_only=True):
     """Everything that there is to know of a round.
 
     Args:
@@ -168,7 +168,7 @@ SEEN_FIELDS: dict[Access, tuple[str, ...]] = {
 _ENCODER = msgspec.json.Encoder(order="sorted")
 
 
-def case_bytes(access: Access, case: Case) -> bytes:
+def case_bytes(access: Access, case: PairKnowledge) -> bytes:
     """Return what an attacker is given before the first round: JSON with sorted names."""
     view: dict[str, Any] = {name: getattr(case, name) for name in CASE_FIELDS[access]}
     if "mission" in view:
@@ -176,7 +176,7 @@ def case_bytes(access: Access, case: Case) -> bytes:
     return _ENCODER.encode({"schema": CASE, "access": access, **view})
 
 
-def seen_bytes(access: Access, seen: Seen) -> bytes:
+def seen_bytes(access: Access, seen: RoundKnowledge) -> bytes:
     """Return what an attacker is given after a round: JSON with sorted names."""
     view: dict[str, Any] = {name: getattr(seen, name) for name in SEEN_FIELDS[access]}
     view["plan"] = [{key: step[key] for key in _SHOWN if key in step} for step in seen.plan]

@@ -20,7 +20,7 @@ from msgspec import Struct
 
 from authguard_r.client import GateClient
 from authguard_r.client.approvals import shown
-from authguard_r.core.approval import Verdict
+from authguard_r.core.approval import ApprovalVerdict
 from authguard_r.core.errors import RefusedError
 from authguard_r.keys.signer import FileSigner
 from authguard_r.wire.approval_request import Question
@@ -30,7 +30,7 @@ _SPELLED = re.compile(r"(fixed|exponential|lognormal):([0-9.]+)s(?:,([0-9.]+))?"
 LOOK_S = 0.05
 
 
-class Kind(StrEnum):
+class DelayKind(StrEnum):
     """The distributions of a delay."""
 
     FIXED = "fixed"
@@ -47,15 +47,15 @@ class Delay(Struct, frozen=True, kw_only=True):
         sigma: of the logarithm, for lognormal.
     """
 
-    kind: Kind
+    kind: DelayKind
     median_s: float
     sigma: float = 0.0
 
     def drawn_s(self, random: Random) -> float:
         """Return the next delay, in seconds."""
-        if self.kind is Kind.FIXED or self.median_s == 0:
+        if self.kind is DelayKind.FIXED or self.median_s == 0:
             return self.median_s
-        if self.kind is Kind.EXPONENTIAL:
+        if self.kind is DelayKind.EXPONENTIAL:
             return random.expovariate(1 / self.median_s)
         return random.lognormvariate(math.log(self.median_s), self.sigma)
 
@@ -67,13 +67,13 @@ def read_delay(text: str) -> Delay:
         ValueError: it states none.
     """
     found = _SPELLED.fullmatch(text)
-    if found is None or (found[3] is not None) is not (found[1] == Kind.LOGNORMAL):
+    if found is None or (found[3] is not None) is not (found[1] == DelayKind.LOGNORMAL):
         raise ValueError("expected fixed:2s, exponential:3s or lognormal:5s,0.8")
     sigma = float(found[3]) if found[3] else 0.0
-    return Delay(kind=Kind(found[1]), median_s=float(found[2]), sigma=sigma)
+    return Delay(kind=DelayKind(found[1]), median_s=float(found[2]), sigma=sigma)
 
 
-class Answer(Struct, frozen=True, kw_only=True):
+class GivenAnswer(Struct, frozen=True, kw_only=True):
     """One answer that was given.
 
     Args:
@@ -87,7 +87,7 @@ class Answer(Struct, frozen=True, kw_only=True):
 
     counter: int
     approver: str
-    verdict: Verdict
+    verdict: ApprovalVerdict
     why_not: str
     waited_ms: float
     machine_us: float
@@ -104,10 +104,10 @@ class Policy(Struct, frozen=True, kw_only=True):
     most_risk: int = 1 << 30
     never: frozenset[str] = frozenset()
 
-    def verdict(self, question: Question) -> Verdict:
+    def verdict(self, question: Question) -> ApprovalVerdict:
         """Return the answer to a request."""
         risky = question.risk > self.most_risk or not self.never.isdisjoint(question.places)
-        return Verdict.DENY if risky else Verdict.APPROVE
+        return ApprovalVerdict.DENY if risky else ApprovalVerdict.APPROVE
 
 
 class Script:
@@ -138,7 +138,7 @@ class Script:
         self._known: set[tuple[str, int]] = set()
         self._waiting: list[tuple[float, float, int, str]] = []
 
-    def answers(self) -> Iterator[Answer]:
+    def answers(self) -> Iterator[GivenAnswer]:
         """Yield each answer once it was given, for ever."""
         while True:
             self._look()
@@ -162,18 +162,18 @@ class Script:
                 due_s = now_s + self._delay.drawn_s(self._random)
                 heappush(self._waiting, (due_s, now_s, question.counter, name))
 
-    def _answer(self, seen_s: float, counter: int, name: str) -> Answer | None:
+    def _answer(self, seen_s: float, counter: int, name: str) -> GivenAnswer | None:
         """Answer; None when the request was over before this person had made up his mind."""
         begun_s = time.monotonic()
         try:
             question = self._client.approval(counter)
             shown(question)
             verdict = self._policy.verdict(question)
-            why = "the script's policy" if verdict is Verdict.DENY else ""
+            why = "the script's policy" if verdict is ApprovalVerdict.DENY else ""
             told = self._client.answer(question, verdict, self._people[name], why=why)
         except RefusedError:
             return None
-        return Answer(
+        return GivenAnswer(
             counter=counter,
             approver=name,
             verdict=verdict,

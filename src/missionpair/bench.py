@@ -18,7 +18,7 @@ from authguard_r.audit.deviation import Weights
 from authguard_r.authoring.compile.build import compile_draft
 from authguard_r.authoring.compile.draft import Draft
 from authguard_r.authoring.keys.setup import demo_members, init_folder
-from authguard_r.core.approval import Verdict
+from authguard_r.core.approval import ApprovalVerdict
 from authguard_r.core.encoding import Tag, b64, digest_of
 from authguard_r.core.identifiers import GrantId, Identifier, RobotId
 from authguard_r.core.lifecycle import Event
@@ -34,14 +34,14 @@ from authguard_r.normalize.bind import site_spellings
 from authguard_r.normalize.binding import Binding, load_binding
 from authguard_r.operations.simulation import Simulation, simulate
 from authguard_r.provenance.context import ContextLedger
-from authguard_r.provenance.mentions import Names
+from authguard_r.provenance.mentions import MentionNames
 from authguard_r.safety import EnvelopeGate, SafetyConfig
 from authguard_r.sim.example import bundled_hospital
 from authguard_r.sim.state import WorldState
 from authguard_r.sim.world import initial_state
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert, read_site, read_text, read_yaml
-from authguard_r.store.transactions import Act
+from authguard_r.store.transactions import Transaction
 
 COURIER = RobotId("courier-1")
 LIFTER = RobotId("lifter-1")
@@ -79,9 +79,9 @@ class Bench:
         return {**plain, **changes}
 
     @cached_property
-    def names(self) -> Names:
+    def names(self) -> MentionNames:
         """Every spelling of the site, made ready once to be found in texts."""
-        return Names(site_spellings(self.site))
+        return MentionNames(site_spellings(self.site))
 
     def mission(self, draft: dict[str, Any], *, nonce: str = b64(bytes(16))) -> Mission:
         """Return a draft compiled at the start of the trials."""
@@ -116,7 +116,7 @@ class Bench:
 
 
 @dataclass
-class Scene:
+class BenchScene:
     """One prepared situation: what came before is done, the plan is about to arrive.
 
     Args:
@@ -134,9 +134,9 @@ class Scene:
     mission: Mission
     plan: bytes
     context: list[tuple[str, str]] = field(default_factory=list)
-    between: Callable[[Scene], None] | None = None
+    between: Callable[[BenchScene], None] | None = None
     usable_until_ms: int = 1 << 52
-    names: Names | None = None
+    names: MentionNames | None = None
 
     @property
     def digest(self) -> str:
@@ -180,7 +180,7 @@ def calls(*steps: tuple[str, dict[str, Any]]) -> bytes:
     return json.dumps({"plan": plan}).encode()
 
 
-def propose(scene: Scene) -> list[Report]:
+def propose(scene: BenchScene) -> list[Report]:
     """Send the scene's plan down the whole road, step by step until one is refused."""
     plan = normalize(scene.plan, binder=scene.sim.binder)
     reports: list[Report] = []
@@ -195,14 +195,14 @@ def propose(scene: Scene) -> list[Report]:
     return reports
 
 
-def carry_out(scene: Scene, plan: bytes) -> None:
+def carry_out(scene: BenchScene, plan: bytes) -> None:
     """Carry out a plan that must succeed: the history of a trial."""
-    for report in propose(Scene(sim=scene.sim, mission=scene.mission, plan=plan)):
+    for report in propose(BenchScene(sim=scene.sim, mission=scene.mission, plan=plan)):
         if str(report.outcome) != "succeeded":
             raise RuntimeError(f"the history of a trial was refused: {report}")
 
 
-def order(bench: Bench, scene: Scene, verb: Verb, *, by: str = "operator-1") -> None:
+def order(bench: Bench, scene: BenchScene, verb: Verb, *, by: str = "operator-1") -> None:
     """Give a signed order about the scene's mission."""
     command = Command(
         verb=verb,
@@ -217,7 +217,9 @@ def order(bench: Bench, scene: Scene, verb: Verb, *, by: str = "operator-1") -> 
     scene.sim.gate.management.command(signed)
 
 
-def choose(bench: Bench, scene: Scene, grant: str, row: int, *, by: str = "operator-1") -> None:
+def choose(
+    bench: Bench, scene: BenchScene, grant: str, row: int, *, by: str = "operator-1"
+) -> None:
     """Give a signed choice of one row."""
     selection = Selection(
         mid=scene.mission.mid,
@@ -234,7 +236,11 @@ def choose(bench: Bench, scene: Scene, grant: str, row: int, *, by: str = "opera
 
 
 def approve(
-    bench: Bench, scene: Scene, *by: str, verdict: Verdict = Verdict.APPROVE, **changes: Any
+    bench: Bench,
+    scene: BenchScene,
+    *by: str,
+    verdict: ApprovalVerdict = ApprovalVerdict.APPROVE,
+    **changes: Any,
 ) -> None:
     """Answer every open request of the scene's mission, signed by each principal."""
     standing = scene.standing()
@@ -249,13 +255,13 @@ def approve(
             scene.sim.gate.management.approve(signed)
 
 
-def force_in(scene: Scene, token: bytes) -> None:
+def force_in(scene: BenchScene, token: bytes) -> None:
     """Put a mission into a gate's registry past activation, as somebody with its disk could.
 
     Activation refuses a foreign mission already; the attack is on what comes after.
     """
 
-    def job(act: Act) -> None:
+    def job(act: Transaction) -> None:
         verified = scene.sim.gate.enforcer.intake.verify_mission(token, act)
         standing = advance(issue(verified), Event.ACTIVATE)
         if standing is None:

@@ -12,10 +12,10 @@ from typing import Any, Protocol
 
 from msgspec import Struct
 
-from missionpair.pair import Call, Input
+from missionpair.pair import Input, WordedCall
 
 
-class Tool(Struct, frozen=True):
+class OfferedTool(Struct, frozen=True):
     """One tool as a planner is offered it: its name, what it is for, its arguments' JSON schema."""
 
     name: str
@@ -23,7 +23,7 @@ class Tool(Struct, frozen=True):
     parameters: dict[str, Any]
 
 
-class Turn(Struct, frozen=True):
+class EarlierTurn(Struct, frozen=True):
     """One earlier answer of this planner in this trial, and what it was told of it."""
 
     reply: str
@@ -51,10 +51,10 @@ class Briefing(Struct, frozen=True, kw_only=True):
     situation: str
     places: tuple[str, ...]
     things: tuple[str, ...]
-    tools: tuple[Tool, ...]
+    tools: tuple[OfferedTool, ...]
     inputs: tuple[Input, ...] = ()
-    turns: tuple[Turn, ...] = ()
-    usual: tuple[Call, ...] = ()
+    turns: tuple[EarlierTurn, ...] = ()
+    usual: tuple[WordedCall, ...] = ()
 
 
 class Reply(Struct, frozen=True, kw_only=True):

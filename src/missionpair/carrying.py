@@ -28,7 +28,7 @@ from authguard_r.normalize import Plan, Step
 from authguard_r.sim.robot import Executed
 from authguard_r.sim.world import DURATION
 from missionpair.bench import PLANNER, approve
-from missionpair.judging import NONE, Effect, Walk, proved
+from missionpair.judging import NONE, JudgedEffect, Walk, proved
 from missionpair.stage import Stage
 
 #: Who a plan that no defense stopped was `by`: it went through, or came to nothing by itself.
@@ -37,7 +37,7 @@ NO_DEFENSE = frozenset({"", "normalizer", "world"})
 EXECUTED, REFUSED = "executed", "rejected"
 
 
-class Spent(Struct, frozen=True, kw_only=True):
+class ExecutionTimes(Struct, frozen=True, kw_only=True):
     """How long the parts took, microseconds; `safety` is the second gate's, in nothing else."""
 
     normalize: int = 0
@@ -47,7 +47,7 @@ class Spent(Struct, frozen=True, kw_only=True):
     defense: int = 0
 
 
-class Carried(Struct, frozen=True, kw_only=True):
+class ExecutedPlan(Struct, frozen=True, kw_only=True):
     """What became of one plan.
 
     Args:
@@ -63,13 +63,13 @@ class Carried(Struct, frozen=True, kw_only=True):
     """
 
     planned: int = 0
-    effects: tuple[Effect, ...] = ()
+    effects: tuple[JudgedEffect, ...] = ()
     completed: bool = False
     by: str = ""
     reasons: tuple[str, ...] = ()
     prompts: int = 0
     stalled_ms: int = 0
-    spent: Spent = Spent()
+    spent: ExecutionTimes = ExecutionTimes()
 
     @property
     def told(self) -> str:
@@ -106,16 +106,16 @@ class Everything:
         return SafetyDecision(safe=True)
 
 
-def unread(error: MalformedError, took_us: int) -> Carried:
+def unread(error: MalformedError, took_us: int) -> ExecutedPlan:
     """Return what becomes of bytes that the normalizer refuses: nothing."""
-    return Carried(
+    return ExecutedPlan(
         by="normalizer",
         reasons=(str(error.reason),),
-        spent=Spent(normalize=took_us, defense=took_us),
+        spent=ExecutionTimes(normalize=took_us, defense=took_us),
     )
 
 
-def past_the_gate(stage: Stage, raw: bytes, permits: Permits) -> Carried:
+def past_the_gate(stage: Stage, raw: bytes, permits: Permits) -> ExecutedPlan:
     """Drive the world itself with a plan, where the product's gate has no part.
 
     The gate's registry stands still; the oracle goes along with what it would have said.
@@ -146,18 +146,18 @@ def past_the_gate(stage: Stage, raw: bytes, permits: Permits) -> Carried:
         in_world += _us(at)
     stage.walk = walk
     whole = _us(begun)
-    return Carried(
+    return ExecutedPlan(
         planned=len(plan.steps),
         effects=tuple(effects),
         completed=denied is None,
         by="" if denied is None else denied.by,
         reasons=() if denied is None else denied.reasons,
         stalled_ms=waited,
-        spent=Spent(normalize=normalized, world=in_world, defense=whole - in_world),
+        spent=ExecutionTimes(normalize=normalized, world=in_world, defense=whole - in_world),
     )
 
 
-def _agreed(stage: Stage, effect: Effect) -> Effect:
+def _agreed(stage: Stage, effect: JudgedEffect) -> JudgedEffect:
     """Return an effect with the agreement of those who stand by to approve it (benign runs).
 
     Where no gate asks them, what they would have signed is not against anybody's will.
@@ -167,7 +167,7 @@ def _agreed(stage: Stage, effect: Effect) -> Effect:
     return effect
 
 
-def through_the_gate(stage: Stage, raw: bytes) -> Carried:
+def through_the_gate(stage: Stage, raw: bytes) -> ExecutedPlan:
     """Send a plan down the whole road of the product, step by step until one is refused.
 
     Where approval is asked for, the scenario's approvers answer, and the step comes once more.
@@ -184,7 +184,7 @@ def through_the_gate(stage: Stage, raw: bytes) -> Carried:
             break
     whole = _us(begun)
     by, reasons = road.refusal
-    return Carried(
+    return ExecutedPlan(
         planned=len(plan.steps),
         effects=tuple(road.effects),
         completed=road.succeeded == len(plan.steps),
@@ -192,7 +192,7 @@ def through_the_gate(stage: Stage, raw: bytes) -> Carried:
         reasons=reasons,
         prompts=road.prompts,
         stalled_ms=road.waited_ms,
-        spent=Spent(
+        spent=ExecutionTimes(
             normalize=normalized,
             decide=road.decide_us,
             safety=road.safety_us,
@@ -208,7 +208,7 @@ class _Road:
     def __init__(self, stage: Stage, plan: Plan) -> None:
         self.stage = stage
         self.plan = plan
-        self.effects: list[Effect] = []
+        self.effects: list[JudgedEffect] = []
         self.succeeded = self.prompts = self.waited_ms = self.decide_us = self.safety_us = 0
         self.refusal: tuple[str, tuple[str, ...]] = ("", ())
 

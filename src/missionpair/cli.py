@@ -26,11 +26,11 @@ from missionpair.cli_mutate import mutate_command
 from missionpair.cli_report import compare, report
 from missionpair.cli_require import require
 from missionpair.cli_run import list_command, run_command
-from missionpair.faults import FAULTS, USAGE, Fault, fault_of
+from missionpair.faults import FAULTS, USAGE, CommandFault, fault_of
 from missionpair.selfchecks import SELF_CHECKS
 from missionpair.suite import ATTACKS, BENIGN
 from missionpair.systems import System, run_trial
-from missionpair.tables import Measured, as_text, category_table, results_table
+from missionpair.tables import MeasuredTrial, as_text, category_table, results_table
 
 app = typer.Typer(
     name="missionpair",
@@ -118,10 +118,10 @@ app.command("require")(require)
 app.command("mutate")(mutate_command)
 
 
-def run_suite(bench: Bench) -> list[Measured]:
+def run_suite(bench: Bench) -> list[MeasuredTrial]:
     """Run every trial anew under each system."""
     return [
-        Measured(trial.name, trial.category, system, run_trial(trial.prepare(bench), system))
+        MeasuredTrial(trial.name, trial.category, system, run_trial(trial.prepare(bench), system))
         for system in System
         for trial in (*ATTACKS, *BENIGN)
     ]
@@ -141,7 +141,7 @@ def _self_checks(bench: Bench, *, show: bool) -> list[dict[str, Any]]:
     return done
 
 
-def _payload(checks: list[dict[str, Any]], measured: list[Measured]) -> dict[str, Any]:
+def _payload(checks: list[dict[str, Any]], measured: list[MeasuredTrial]) -> dict[str, Any]:
     results = results_table(measured)
     wanted = [
         {"UASR": 1.0, "SCMHR": 1.0, "BTCR": 1.0, "FRR": 0.0, "SU": 0.0},
@@ -198,21 +198,21 @@ def main() -> None:
     except typer.Exit as stop:
         sys.exit(stop.exit_code)
     except typer.Abort:
-        _fail(Fault("ABORTED", "stopped by the user", "", USAGE))
+        _fail(CommandFault("ABORTED", "stopped by the user", "", USAGE))
     except TyperException as error:
         if not sys.argv[1:]:  # what it says is the help, line by line
             sys.stderr.write(f"USAGE: {error.format_message()}\n")
             sys.exit(USAGE)
-        _fail(Fault("USAGE", message_of(error), place_of(error), USAGE))
+        _fail(CommandFault("USAGE", message_of(error), place_of(error), USAGE))
     except FAULTS as error:
         _fail(fault_of(error))
     except KeyboardInterrupt:
         text = "stopped; every trial that was finished is in the log"
-        _fail(Fault("ABORTED", text, "", 130))
+        _fail(CommandFault("ABORTED", text, "", 130))
     sys.exit(result if isinstance(result, int) else 0)
 
 
-def _fail(fault: Fault) -> NoReturn:
+def _fail(fault: CommandFault) -> NoReturn:
     """Say what is wrong where it belongs, and exit with its code."""
     if "--json" in sys.argv:
         sys.stdout.write(fault.as_json() + "\n")

@@ -11,10 +11,10 @@ from typing import Annotated
 import typer
 
 from missionpair import attackers, planners, registry
-from missionpair.campaign.run import Plan, run
+from missionpair.campaign.run import CampaignPlan, run
 from missionpair.cli_report import report
 from missionpair.cli_run import shown, summary_of
-from missionpair.words import Access, Kind
+from missionpair.words import Access, TrialKind
 
 #: Tries that an attacker has in the paper, fixed or adaptive.
 ROUNDS = 3
@@ -51,12 +51,12 @@ def live_command(
     specs = tuple(dict.fromkeys(planner or ("haiku", "qwen")))
     _require(specs)
     out.mkdir(parents=True, exist_ok=True)
-    kinds = tuple(Kind) if benign else (Kind.ATTACK,)
+    kinds = tuple(TrialKind) if benign else (TrialKind.ATTACK,)
     logs: list[Path] = []
     for number, spec in enumerate(specs, 1):
         name = f"{number}-{spec.partition(':')[0]}"
         for attacker in ("fixed", _adaptive(spec)):
-            plan = Plan(
+            plan = CampaignPlan(
                 suite="live",
                 planner=spec,
                 attacker=attacker,

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from missionpair.campaign.log import LogError, read_log
-from missionpair.measures import Measured, MeasureError, measure
+from missionpair.measures import MeasuredCampaign, MeasureError, measure
 from missionpair.measures.apart import why_not_apart
 from missionpair.records import Campaign
 from missionpair.report.compare import Verdicts
@@ -36,7 +36,9 @@ def apart(paths: Sequence[Path]) -> Sequence[Path]:
     return paths
 
 
-def measured(path: Path, *, partial: bool = False, seen: Verdicts | None = None) -> Measured:
+def measured(
+    path: Path, *, partial: bool = False, seen: Verdicts | None = None
+) -> MeasuredCampaign:
     """Read one log, each line once.
 
     Args:

@@ -15,7 +15,7 @@ from missionpair import suites
 from missionpair.mutation import Mutant, mutate, mutate_safety, slice_of
 from missionpair.pair import Suite
 from missionpair.report.mutation import SCHEMA, Mutation
-from missionpair.report.mutation import Mutant as Row
+from missionpair.report.mutation import MutantReport as Row
 from missionpair.stage import Yard
 from missionpair.tables import as_text
 

@@ -18,7 +18,7 @@ import typer
 
 from missionpair.cli_logs import LOG_FAULTS, apart, failed, measured
 from missionpair.report import (
-    Report,
+    CampaignReport,
     lines,
     page,
     payload,
@@ -100,7 +100,7 @@ def compare(
 
 
 def _write(
-    found: Report, *, html: Path | None, csv: Path | None, latex: Path | None
+    found: CampaignReport, *, html: Path | None, csv: Path | None, latex: Path | None
 ) -> Iterator[Path]:
     """Write what was asked for and yield each file.
 

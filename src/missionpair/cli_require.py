@@ -17,7 +17,7 @@ import typer
 
 from missionpair.cli_logs import LOG_FAULTS, apart, failed, measured
 from missionpair.measures.demands import Demand, demands
-from missionpair.words import Kind
+from missionpair.words import TrialKind
 
 
 def require(
@@ -26,7 +26,7 @@ def require(
         list[str] | None, typer.Option("--defense", help="Of which (both); may be repeated.")
     ] = None,
     kind: Annotated[
-        list[Kind] | None,
+        list[TrialKind] | None,
         typer.Option("--kind", help="Which trials there have to be (all); may be repeated."),
     ] = None,
     tries: Annotated[
@@ -51,7 +51,7 @@ def require(
     found = [
         demand
         for name in wanted
-        for demand in demands(those, name, kinds=frozenset(kind or Kind), tries=tries)
+        for demand in demands(those, name, kinds=frozenset(kind or TrialKind), tries=tries)
     ]
     met = all(demand.met for demand in found)
     if as_json:

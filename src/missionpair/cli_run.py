@@ -17,11 +17,11 @@ import typer
 from authguard_r.authoring.compile.sources import given_weights
 from missionpair import attackers, defenses, planners, registry, suites
 from missionpair.campaign.log import read_log
-from missionpair.campaign.run import Plan, Progress, run
+from missionpair.campaign.run import CampaignPlan, Progress, run
 from missionpair.campaign.trial import MOST_TURNS
 from missionpair.records import Campaign
 from missionpair.score import DEFAULT, Weights
-from missionpair.words import Access, Kind
+from missionpair.words import Access, TrialKind
 
 #: One weight as it is typed.
 _THOUSANDTHS = re.compile(r"0*[1-9][0-9]{0,6}", re.ASCII)
@@ -65,7 +65,7 @@ def run_command(
         int | None, typer.Option("--pairs", min=1, help="How many of them; all if absent.")
     ] = None,
     kind: Annotated[
-        list[Kind] | None, typer.Option("--kind", help="Kinds of trial; all if absent.")
+        list[TrialKind] | None, typer.Option("--kind", help="Kinds of trial; all if absent.")
     ] = None,
     weights: Annotated[
         str,
@@ -93,7 +93,7 @@ def run_command(
     seed a deterministic campaign gives the same lines, but for `timing`, whatever `--jobs` is.
     """
     usual = suites.usual(suite)
-    plan = Plan(
+    plan = CampaignPlan(
         suite=suite,
         planner=planner,
         attacker=attacker,
@@ -105,7 +105,7 @@ def run_command(
         turns=turns or usual.turns,
         every=every,
         pairs=pairs,
-        kinds=tuple(dict.fromkeys(kind or Kind)),
+        kinds=tuple(dict.fromkeys(kind or TrialKind)),
         weights=_weights(weights),
         field_weights=dict(given_weights(weight or (), where="--weight")),
         unqualified=unqualified,
@@ -177,7 +177,7 @@ def summary_of(campaign: Campaign, log: Path) -> dict[str, Any]:
             | {"completed": 0, "errors": 0},
         )
         mine["errors"] += bool(trial.error)
-        if trial.kind == Kind.ATTACK:
+        if trial.kind == TrialKind.ATTACK:
             mine["attacks"] += 1
             mine["complied"] += trial.complied
             mine["blocked"] += trial.blocked is True

@@ -33,7 +33,7 @@ FAULTS = (
 _READ = {"file": "FILE_INVALID", "log": "LOG_INVALID"}
 
 
-class Fault(NamedTuple):
+class CommandFault(NamedTuple):
     """One error as it is shown."""
 
     code: str
@@ -51,34 +51,34 @@ class Fault(NamedTuple):
         return f"{self.code}: {self.where + ': ' if self.where else ''}{self.message}"
 
 
-def fault_of(error: Exception) -> Fault:
+def fault_of(error: Exception) -> CommandFault:
     """Return how an error of `FAULTS` is shown."""
     match error:
         case SpecificationError():
-            return Fault("USAGE", str(error), "", USAGE)
+            return CommandFault("USAGE", str(error), "", USAGE)
         case SuiteError() | StageError():
-            return Fault("SUITE_BROKEN", error.message, error.where, UNREADABLE)
+            return CommandFault("SUITE_BROKEN", error.message, error.where, UNREADABLE)
         case LogError(is_here=True):
-            return Fault("LOG_UNAVAILABLE", error.message, error.where, HERE)
+            return CommandFault("LOG_UNAVAILABLE", error.message, error.where, HERE)
         case LogError():
-            return Fault("LOG_BROKEN", error.message, error.where, UNREADABLE)
+            return CommandFault("LOG_BROKEN", error.message, error.where, UNREADABLE)
         case PlannerError() | AttackerError():
             return _of_model(error)
         case EnvironmentFault():
-            return Fault(str(error.reason), error.message, error.where, HERE)
+            return CommandFault(str(error.reason), error.message, error.where, HERE)
         case AuthGuardError():
-            return Fault(str(error.reason), error.message, error.where, UNREADABLE)
+            return CommandFault(str(error.reason), error.message, error.where, UNREADABLE)
         case OSError():
             text, where = error.strerror or str(error), str(error.filename or "")
-            return Fault("FILE_UNAVAILABLE", text, where, HERE)
+            return CommandFault("FILE_UNAVAILABLE", text, where, HERE)
     raise TypeError(f"{type(error).__name__} is shown by nobody") from error
 
 
-def _of_model(error: PlannerError | AttackerError) -> Fault:
+def _of_model(error: PlannerError | AttackerError) -> CommandFault:
     """Return how one that plans or writes fails: by a wrong option, by what it reads, or here."""
     if error.code == "usage":
-        return Fault("USAGE", error.message, error.where, USAGE)
+        return CommandFault("USAGE", error.message, error.where, USAGE)
     if error.code in _READ:
-        return Fault(_READ[error.code], error.message, error.where, UNREADABLE)
+        return CommandFault(_READ[error.code], error.message, error.where, UNREADABLE)
     kind = "PLANNER" if isinstance(error, PlannerError) else "ATTACKER"
-    return Fault(f"{kind}_{error.code.upper()}", error.message, error.where, HERE)
+    return CommandFault(f"{kind}_{error.code.upper()}", error.message, error.where, HERE)

@@ -30,7 +30,7 @@ from missionpair.records import Trial
 from missionpair.score import DEFAULT
 from missionpair.stage import Yard
 from missionpair.suites import load
-from missionpair.words import Access, Kind
+from missionpair.words import Access, TrialKind
 
 _task: Any = import_module("inspect_ai")
 _dataset: Any = import_module("inspect_ai.dataset")
@@ -137,7 +137,7 @@ def attack(
                 turns=turns,
                 seed=seed + state.epoch - 1,
                 seeds=1,
-                kinds=(Kind.ATTACK,),
+                kinds=(TrialKind.ATTACK,),
                 weights=DEFAULT,
             )
 

@@ -97,7 +97,7 @@ class Checked(Struct, frozen=True, kw_only=True):
         return self.executable and self.safe and self.deviation > 0 and self.is_changed
 
 
-class Effect(Struct, frozen=True, kw_only=True):
+class JudgedEffect(Struct, frozen=True, kw_only=True):
     """One action that the world carried out, and what the oracle says of it.
 
     Args:
@@ -318,7 +318,7 @@ def safety_of(stage: Stage) -> EnvelopeGate:
     return made
 
 
-def proved(walk: Walk, action: Action) -> Effect:
+def proved(walk: Walk, action: Action) -> JudgedEffect:
     """Return what the oracle says of an action in the world and the registry as they are.
 
     Labels are not told to it: they are this side's own evidence, and no authority.
@@ -342,7 +342,7 @@ def proved(walk: Walk, action: Action) -> Effect:
         approvals=approvals,
     )
     reasons = list(verdict["reasons"])
-    return Effect(
+    return JudgedEffect(
         action=action,
         authorized=verdict["verdict"] == "accept",
         reasons=tuple(reasons),

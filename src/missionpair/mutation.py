@@ -134,7 +134,7 @@ def mutate_safety(suite: Suite, yard: Yard, *, rules: Iterable[str] = RULES) -> 
     Raises:
         StageError: a pair cannot be made real.
     """
-    counts = {rule: _Count() for rule in rules}
+    counts = {rule: _RuleCount() for rule in rules}
     for pair in suite.pairs:
         _try_rules(pair, suite.layouts[pair.layout], yard, counts)
     return tuple(
@@ -200,7 +200,7 @@ def without_rule(name: str) -> Iterator[None]:
 
 
 @dataclass
-class _Count:
+class _RuleCount:
     """Trials of one rule, and the pairs that its absence let through."""
 
     trials: int = 0
@@ -224,7 +224,7 @@ class _Changing:
         return self.now.assess(action, state, facts, now)
 
 
-def _try_rules(pair: Pair, layout: Layout, yard: Yard, counts: dict[str, _Count]) -> None:
+def _try_rules(pair: Pair, layout: Layout, yard: Yard, counts: dict[str, _RuleCount]) -> None:
     """Carry the pair's benign run out with each rule alone strict, and then without that rule."""
     gate, raw = _Changing(), plan_bytes(pair.benign.plan)
     stage = yard.stage(pair, layout, pair.benign, safety_gate=gate)

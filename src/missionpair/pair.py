@@ -20,7 +20,7 @@ SCHEMA = "missionpair/suite/1"
 Value = str | int | float | bool | list[str]
 
 
-class Call(Struct, frozen=True, forbid_unknown_fields=True):
+class WordedCall(Struct, frozen=True, forbid_unknown_fields=True):
     """One call of a tool, with the words that a planner uses for places and things."""
 
     tool: str
@@ -34,7 +34,7 @@ class Input(Struct, frozen=True, forbid_unknown_fields=True):
     text: str
 
 
-class Act(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True):
+class PriorAct(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True):
     """Something that happens before the planner is asked, done as those who may do it do it.
 
     Args:
@@ -54,7 +54,7 @@ class Act(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_de
     do: Literal["activate", "force", "run", "propose", "approve", "choose", "order", "wait"]
     mission: str = ""
     by: tuple[str, ...] = ()
-    calls: tuple[Call, ...] = ()
+    calls: tuple[WordedCall, ...] = ()
     grant: str = ""
     row: int = 0
     verb: str = ""
@@ -90,8 +90,8 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, om
 
     robot: str
     start: Start = Start()
-    before: tuple[Act, ...] = ()
-    plan: tuple[Call, ...] = ()
+    before: tuple[PriorAct, ...] = ()
+    plan: tuple[WordedCall, ...] = ()
     approvers: tuple[str, ...] = ()
 
 
@@ -130,12 +130,12 @@ class Pair(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_d
     task: str
     benign: Scenario
     attack: Scenario
-    update: tuple[Act, ...]
+    update: tuple[PriorAct, ...]
     inputs: tuple[Input, ...]
     violates: tuple[str, ...]
     reasons: tuple[str, ...]
     commissioned: dict[str, str] = {}
-    rest: tuple[Call, ...] = ()
+    rest: tuple[WordedCall, ...] = ()
 
 
 class Layout(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -192,7 +192,7 @@ def updated(pair: Pair, layout: Layout) -> Layout:
     )
 
 
-def plan_bytes(calls: tuple[Call, ...]) -> bytes:
+def plan_bytes(calls: tuple[WordedCall, ...]) -> bytes:
     """Return calls as a planner writes them: bare JSON, which the gate's normalizer reads."""
     return msgspec.json.encode(
         {"plan": [{"tool": call.tool, "arguments": call.arguments} for call in calls]}

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable
 from msgspec import Struct
 
 from authguard_r.core.errors import MalformedError
-from missionpair.carrying import Carried, through_the_gate
+from missionpair.carrying import ExecutedPlan, through_the_gate
 from missionpair.judging import Walk, proved
 from missionpair.pair import Layout, Pair, Scenario, Suite, plan_bytes, updated
 from missionpair.stage import Stage, StageError, Yard
@@ -132,7 +132,7 @@ def _judged(stage: Stage, raw: bytes, pair: Pair) -> list[str]:
     return found
 
 
-def _ran(carried: Carried) -> list[str]:
+def _ran(carried: ExecutedPlan) -> list[str]:
     """Return why a run that has to come to its end did not."""
     found = []
     if not carried.completed:

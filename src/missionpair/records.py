@@ -15,7 +15,7 @@ from msgspec import Struct
 SCHEMA = "missionpair/log/1"
 
 
-class Named(Struct, frozen=True, forbid_unknown_fields=True):
+class NamedPart(Struct, frozen=True, forbid_unknown_fields=True):
     """A planner, an attacker or a defense: its name and every parameter that shapes it.
 
     Args:
@@ -81,10 +81,10 @@ class Campaign(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, ta
     suite_version: int
     suite_digest: str
     pairs: int
-    planner: Named
-    attacker: Named
+    planner: NamedPart
+    attacker: NamedPart
     access: str
-    defenses: tuple[Named, ...]
+    defenses: tuple[NamedPart, ...]
     seed: int
     seeds: int
     rounds: int

@@ -48,7 +48,7 @@ class Weights(Struct, frozen=True, kw_only=True):
 DEFAULT = Weights()
 
 
-class Judged(Protocol):
+class ScoredChecks(Protocol):
     """What the checkers say of a plan, as far as it is scored (`judging.Checked`)."""
 
     @property
@@ -77,7 +77,7 @@ class Judged(Protocol):
         ...
 
 
-def score(judged: Judged, weights: Weights = DEFAULT) -> int:
+def score(judged: ScoredChecks, weights: Weights = DEFAULT) -> int:
     """Return J in thousandths.
 
     ObviousHarm is 1 exactly when the safety model names a hazard class; InvalidSyntax exactly when

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import msgspec
 
 from authguard_r.audit.record import Terminal
-from authguard_r.audit.verify import Row, verify_rows
+from authguard_r.audit.verify import LogRow, verify_rows
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import VariableId
@@ -27,7 +27,7 @@ from authguard_r.server.wiring import sign_terminal
 from authguard_r.sim.robot import snapshot_of
 from authguard_r.store.memory import MemoryStore
 from missionpair import suite
-from missionpair.bench import LIFTER, Bench, Scene, approve, calls, order, propose
+from missionpair.bench import LIFTER, Bench, BenchScene, approve, calls, order, propose
 
 GO = calls(("navigate_to", {"destination": "Pharmacy", "speed": 0.8}))
 
@@ -52,7 +52,7 @@ def _verifies(bench: Bench, token: bytes) -> str:
     return "ok"
 
 
-def _reasons(scene: Scene) -> tuple[str, ...]:
+def _reasons(scene: BenchScene) -> tuple[str, ...]:
     """Return why the scene's plan is refused; empty when it is carried out."""
     report = propose(scene)[-1]
     if report.judged is not None:
@@ -115,7 +115,9 @@ def used_once(bench: Bench) -> bool:
 
 def other_robot(bench: Bench) -> bool:
     """A mission for one robot is refused by another."""
-    scene = Scene(sim=bench.simulation(rid=LIFTER), mission=bench.mission(bench.draft()), plan=GO)
+    scene = BenchScene(
+        sim=bench.simulation(rid=LIFTER), mission=bench.mission(bench.draft()), plan=GO
+    )
     try:
         scene.sim.gate.management.activate(bench.sign(scene.mission))
     except AuthGuardError as error:
@@ -127,7 +129,7 @@ def other_profile(bench: Bench) -> bool:
     """A mission for this robot with another capability profile is refused."""
     mission = bench.mission(bench.draft())
     wrong = msgspec.structs.replace(mission, profile=mission.site)
-    scene = Scene(sim=bench.simulation(), mission=wrong, plan=GO)
+    scene = BenchScene(sim=bench.simulation(), mission=wrong, plan=GO)
     try:
         scene.sim.gate.management.activate(bench.sign(wrong))
     except AuthGuardError as error:
@@ -207,9 +209,11 @@ def log_tampering(bench: Bench) -> bool:
     )
     rows = _rows(scene)
     changed = list(rows)
-    changed[1] = Row(1, rows[1].record.replace(b"accept", b"reject"), rows[1].sealed, rows[1].link)
+    changed[1] = LogRow(
+        1, rows[1].record.replace(b"accept", b"reject"), rows[1].sealed, rows[1].link
+    )
     changed[1] = (
-        changed[1] if changed[1] != rows[1] else Row(1, rows[0].record, b"{}", rows[1].link)
+        changed[1] if changed[1] != rows[1] else LogRow(1, rows[0].record, b"{}", rows[1].link)
     )
     swapped = [rows[1], rows[0], *rows[2:]]
     found = [
@@ -218,7 +222,7 @@ def log_tampering(bench: Bench) -> bool:
     return found == [True, False, False, False]
 
 
-def _rows(scene: Scene) -> list[Row]:
+def _rows(scene: BenchScene) -> list[LogRow]:
     store = scene.sim.gate.ledger.store
     if not isinstance(store, MemoryStore):
         raise TypeError("the self-checks keep their log in memory")

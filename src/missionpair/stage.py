@@ -46,9 +46,9 @@ from authguard_r.sim.state import WorldState
 from authguard_r.sim.world import initial_state, taken
 from authguard_r.site.model import Site, profile_digest
 from authguard_r.site.source import convert
-from missionpair.bench import Bench, Scene, approve, choose, force_in, order, propose
+from missionpair.bench import Bench, BenchScene, approve, choose, force_in, order, propose
 from missionpair.memento import Memento
-from missionpair.pair import Act, Call, Input, Layout, Pair, Scenario, Start, plan_bytes
+from missionpair.pair import Input, Layout, Pair, PriorAct, Scenario, Start, WordedCall, plan_bytes
 from missionpair.words import GATE_CHANNELS
 
 T = TypeVar("T")
@@ -120,7 +120,7 @@ class Stage:
     bench: Bench
     pair: Pair
     scenario: Scenario
-    scene: Scene
+    scene: BenchScene
     missions: dict[str, Mission] = field(default_factory=dict)
     inputs: tuple[Input, ...] = ()
     approvers: tuple[str, ...] = ()
@@ -202,7 +202,7 @@ class Stage:
         if self._mark is not None:
             self._mark.restore()
 
-    def act(self, acts: tuple[Act, ...]) -> None:
+    def act(self, acts: tuple[PriorAct, ...]) -> None:
         """Do what happens here before the planner is asked, or what authorizes its plan.
 
         Raises:
@@ -311,7 +311,7 @@ class Yard:
             raise StageError(f"{type(error).__name__}: {error}", where=where) from error
         took = [0]
         sim = _with_gate(sim, _Timed(safety_gate or sim.gate.safety, took))
-        scene = Scene(sim=sim, mission=mission, plan=b"", names=bench.names)
+        scene = BenchScene(sim=sim, mission=mission, plan=b"", names=bench.names)
         made = Stage(bench, pair, scenario, scene, {first: mission}, safety_took=took)
         made.approvers = scenario.approvers
         made.act(scenario.before)
@@ -387,20 +387,20 @@ def _kept(held: OrderedDict[str, T], key: str, most: int, made: Callable[[], T])
 # what can happen
 
 
-def _activate(stage: Stage, item: Act) -> None:
+def _activate(stage: Stage, item: PriorAct) -> None:
     mission = stage.mission(item.mission or next(iter(stage.pair.missions)))
     by = item.by[0] if item.by else mission.issuer
     stage.sim.gate.management.activate(stage.bench.sign(mission, by))
     stage.scene.mission = mission
 
 
-def _force(stage: Stage, item: Act) -> None:
+def _force(stage: Stage, item: PriorAct) -> None:
     mission = stage.mission(item.mission or next(iter(stage.pair.missions)))
     force_in(stage.scene, stage.bench.sign(mission, mission.issuer))
     stage.scene.mission = mission
 
 
-def _run(stage: Stage, item: Act) -> None:
+def _run(stage: Stage, item: PriorAct) -> None:
     reports = _proposed(stage, item.calls)
     ended = [str(report.outcome) for report in reports]
     if ended != ["succeeded"] * len(item.calls):
@@ -409,34 +409,34 @@ def _run(stage: Stage, item: Act) -> None:
         raise ValueError(f"step {len(reports)} of {len(item.calls)} did not succeed: {why}")
 
 
-def _propose(stage: Stage, item: Act) -> None:
+def _propose(stage: Stage, item: PriorAct) -> None:
     _proposed(stage, item.calls)
 
 
-def _proposed(stage: Stage, calls: tuple[Call, ...]) -> list[Any]:
+def _proposed(stage: Stage, calls: tuple[WordedCall, ...]) -> list[Any]:
     stage.scene.plan = plan_bytes(calls)
     reports = propose(stage.scene)
     stage.scene.plan = b""
     return reports
 
 
-def _approve(stage: Stage, item: Act) -> None:
+def _approve(stage: Stage, item: PriorAct) -> None:
     approve(stage.bench, stage.scene, *item.by)
 
 
-def _choose(stage: Stage, item: Act) -> None:
+def _choose(stage: Stage, item: PriorAct) -> None:
     choose(stage.bench, stage.scene, item.grant, item.row, by=item.by[0])
 
 
-def _order(stage: Stage, item: Act) -> None:
+def _order(stage: Stage, item: PriorAct) -> None:
     order(stage.bench, stage.scene, Verb(item.verb), by=item.by[0])
 
 
-def _wait(stage: Stage, item: Act) -> None:
+def _wait(stage: Stage, item: PriorAct) -> None:
     stage.sim.robot.pause(item.ms)
 
 
-_ACTS: dict[str, Callable[[Stage, Act], None]] = {
+_ACTS: dict[str, Callable[[Stage, PriorAct], None]] = {
     "activate": _activate,
     "force": _force,
     "run": _run,

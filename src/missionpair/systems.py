@@ -25,7 +25,7 @@ from authguard_r.safety import EnvelopeGate, default_config
 from authguard_r.sim.robot import snapshot_of
 from authguard_r.sim.state import WorldState
 from authguard_r.sim.world import delta
-from missionpair.bench import Scene, propose
+from missionpair.bench import BenchScene, propose
 from missionpair.judging import plain, plain_facts
 
 
@@ -53,7 +53,7 @@ class Effect:
 
 
 @dataclass
-class Result:
+class SystemResult:
     """What one system did in one trial.
 
     Args:
@@ -84,18 +84,18 @@ class Result:
         return oracle.scmh(self.executable, self.safe, not self.unauthorized)
 
 
-def run_trial(scene: Scene, system: System) -> Result:
+def run_trial(scene: BenchScene, system: System) -> SystemResult:
     """Run the scene's plan under one system and judge every effect."""
     if system is System.BOTH:
         return _both(scene)
     return _direct(scene, with_safety=system is System.SAFETY)
 
 
-def _direct(scene: Scene, *, with_safety: bool) -> Result:
+def _direct(scene: BenchScene, *, with_safety: bool) -> SystemResult:
     """Drive delta without the authorization gate."""
     gate = EnvelopeGate(default_config(scene.sim.robot.site, scene.sim.robot.rid))
     steps = normalize(scene.plan, binder=scene.sim.binder).steps
-    state, result = scene.sim.robot.state, Result()
+    state, result = scene.sim.robot.state, SystemResult()
     now = Now(scene.sim.robot.wall_ms(), scene.sim.gate.ledger.mono_ms())
     for step in steps:
         action = _completed(step, state)
@@ -117,7 +117,7 @@ def _direct(scene: Scene, *, with_safety: bool) -> Result:
     return result
 
 
-def _both(scene: Scene) -> Result:
+def _both(scene: BenchScene) -> SystemResult:
     """Send the plan down the whole road of the product."""
     result = _attempt(scene)
     if not result.completed and scene.between is not None and not result.effects:
@@ -126,8 +126,8 @@ def _both(scene: Scene) -> Result:
     return result
 
 
-def _attempt(scene: Scene) -> Result:
-    robot, result = scene.sim.robot, Result()
+def _attempt(scene: BenchScene) -> SystemResult:
+    robot, result = scene.sim.robot, SystemResult()
     begun, before = len(robot.trace), scene.standing()
     try:
         reports = propose(scene)
@@ -157,12 +157,12 @@ def _completed(step: Step, state: WorldState) -> Action:
     return msgspec.structs.replace(step.action, source=state.region)
 
 
-def _snapshot(scene: Scene, state: WorldState) -> Any:
+def _snapshot(scene: BenchScene, state: WorldState) -> Any:
     return snapshot_of(state, robot=scene.sim.robot.rid, epoch=1, seq=1)
 
 
 def _judge(
-    scene: Scene, action: Action, state: WorldState, now: Now, standing: Standing | None
+    scene: BenchScene, action: Action, state: WorldState, now: Now, standing: Standing | None
 ) -> Effect:
     """Ask the oracle whether this very action was authorized in this very state."""
     approvals = []

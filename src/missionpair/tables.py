@@ -8,20 +8,20 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import authguard_reference as oracle
-from missionpair.systems import Result, System
+from missionpair.systems import System, SystemResult
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredTrial:
     """One trial under one system."""
 
     trial: str
     category: str
     system: System
-    result: Result
+    result: SystemResult
 
 
-def results_table(measured: Iterable[Measured]) -> list[dict[str, object]]:
+def results_table(measured: Iterable[MeasuredTrial]) -> list[dict[str, object]]:
     """Return UASR, SCMHR, BTCR, FRR and SU for each system (`eq:uasr` to `eq:su`)."""
     rows: list[dict[str, object]] = []
     everything = list(measured)
@@ -44,7 +44,7 @@ def results_table(measured: Iterable[Measured]) -> list[dict[str, object]]:
     return rows
 
 
-def category_table(measured: Iterable[Measured]) -> list[dict[str, object]]:
+def category_table(measured: Iterable[MeasuredTrial]) -> list[dict[str, object]]:
     """Return unauthorized executions over attempts, by category and system."""
     rows: dict[str, dict[str, object]] = {}
     everything = [item for item in measured if item.category != "benign"]

@@ -103,7 +103,7 @@ class Access(StrEnum):
     WHITE = "white"
 
 
-class Kind(StrEnum):
+class TrialKind(StrEnum):
     """What a trial tries: the attack, the benign run, or the same change made by its signer."""
 
     ATTACK = "attack"

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from authguard_r.anchoring.evidence import BY_COUNTER, BY_STORE, SAID, Why
+from authguard_r.anchoring.evidence import BY_COUNTER, BY_STORE, SAID, Discrepancy
 from authguard_r.audit.record import read_record
 from authguard_r.cli.operate import status_lines
 from authguard_r.client import stopping
@@ -139,14 +139,14 @@ def test_a_journal_without_a_policy_is_a_mistake(shell: Shell) -> None:
 
 
 def test_each_doubt_names_its_own_way_out() -> None:
-    for why in list(Why):
+    for why in list(Discrepancy):
         with case(why):
             said = {"state": "put_back", "why": str(why), "message": SAID[why]}
             head, way = status_lines({"anchor": said})[-3:-1]
             assert head.endswith(SAID[why])
-            signed_away = why not in {Why.COUNTER_UNREADABLE, Why.COUNTER_NOT_NAMED}
+            signed_away = why not in {Discrepancy.COUNTER_UNREADABLE, Discrepancy.COUNTER_NOT_NAMED}
             assert ("authguard recover" in way) is signed_away
-            is_old = why in {Why.BEHIND, Why.FORKED}
+            is_old = why in {Discrepancy.BEHIND, Discrepancy.FORKED}
             assert head.startswith("STORE PUT BACK") is is_old
             if not signed_away:
                 assert "--counter" in way
@@ -174,7 +174,7 @@ def test_recover_shows_what_was_compared_beside_what_is_there_now(
     shell: Shell, by: str, opened: int | None, words: str, monkeypatch: Any
 ) -> None:
     anchor = {"state": "put_back", "store": STORE, "number": 3, "why": "behind", "by": by}
-    anchor |= {"message": SAID[Why.BEHIND], "counted": 2, "opened": opened}
+    anchor |= {"message": SAID[Discrepancy.BEHIND], "counted": 2, "opened": opened}
     status = {**STATUS, "anchor": anchor, "log": {"size": 4, "head": "h" * 43}, "mission": None}
     shown: list[str] = []
     monkeypatch.setattr(

@@ -26,7 +26,7 @@ import msgspec
 import pytest
 import typer
 
-from authguard_r.audit.verify import Row
+from authguard_r.audit.verify import LogRow
 from authguard_r.cli import call
 from authguard_r.cli.gateway import RUNS, only_run
 from authguard_r.cli.operate import status_lines
@@ -41,7 +41,7 @@ from authguard_r.enforcement.signed_orders import Command, Verb
 from authguard_r.keys.trust import read_trust
 from authguard_r.operations.exposition import exposition
 from authguard_r.store.sqlite import open_store, read_rows
-from authguard_r.wire.messages import Act, ClientRole, Kind
+from authguard_r.wire.messages import ClientRole, Kind, OrderKind
 from fixtures import scenarios
 from fixtures.scripted_peer import Peer, Talk, listening, welcome_of
 
@@ -489,7 +489,7 @@ def test_resume_is_a_signed_order_over_the_socket(shell: Shell, token: str) -> N
         code, answer = shell.json("resume", token, "--trust", "trust", "--gate", path)
     assert (code, answer) == (0, {"standing": standing, "status": "active"})
     order = json.loads(seen[0][1].body)
-    assert order["act"] == Act.COMMAND
+    assert order["act"] == OrderKind.COMMAND
     opened, _, signer = open_token(
         msgspec.convert(order["token"], bytes),
         Command,
@@ -518,7 +518,7 @@ def test_a_release_ends_in_a_known_way_or_is_left_open(shell: Shell, token: str)
 
 
 def telling(
-    rows: list[Row], *, mine: str = "auditor", status: dict[str, Any] | None = None
+    rows: list[LogRow], *, mine: str = "auditor", status: dict[str, Any] | None = None
 ) -> Talk:
     """Return a gate that tells these rows, two at a time, to one role alone."""
 
@@ -741,7 +741,11 @@ def test_an_order_goes_to_the_gate_that_holds_the_store(shell: Shell, token: str
         chosen = ("--grant", "pick", "--row", 0, "--yes")
         assert shell("mission", "choose", token, *ON, *chosen)[0] == 0
     orders = [json.loads(item.body) for _, item in seen]
-    assert [order["act"] for order in orders] == [Act.ACTIVATE, Act.COMMAND, Act.SELECT]
+    assert [order["act"] for order in orders] == [
+        OrderKind.ACTIVATE,
+        OrderKind.COMMAND,
+        OrderKind.SELECT,
+    ]
     assert msgspec.convert(orders[0]["token"], bytes) == Path(token).read_bytes()
     assert orders[0]["confirmation"] is not None
     assert {hello.role for hello, _ in seen} == {ClientRole.OPERATOR}

@@ -20,12 +20,12 @@ import pytest
 from authguard_r.audit import parallel
 from authguard_r.audit.note import Note, NoteSignature, read_note
 from authguard_r.audit.record import Terminal
-from authguard_r.audit.verify import Row
+from authguard_r.audit.verify import LogRow
 from authguard_r.auditor.export_format import MAX_LINE, note_line, row_line
 from authguard_r.cli import call, log_verify
-from authguard_r.cli.gateway import Beside
+from authguard_r.cli.gateway import GateAddress
 from authguard_r.cli.log_export import COLUMNS, cell
-from authguard_r.cli.logs import Log
+from authguard_r.cli.logs import ReadableLog
 from authguard_r.core.encoding import Tag, b64, encode
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Digest
@@ -69,17 +69,17 @@ class Desk:
         code, out = self(*arguments, "--json")
         return code, json.loads(out)
 
-    def signed(self, rows: list[Row]) -> Note:
+    def signed(self, rows: list[LogRow]) -> Note:
         said = checkpoint_of(rows)
         return Note(said.text(), sign_text(said.text(), said.origin, self.signer))
 
-    def export(self, rows: list[Row], note: Note | None, name: str = "log.jsonl") -> str:
+    def export(self, rows: list[LogRow], note: Note | None, name: str = "log.jsonl") -> str:
         lines = [row_line(row) for row in rows]
         lines += [] if note is None else [note_line(note.encode())]
         (self.folder / name).write_bytes(b"".join(lines))
         return name
 
-    def store(self, rows: list[Row], note: Note | None, name: str = "robot.db") -> str:
+    def store(self, rows: list[LogRow], note: Note | None, name: str = "robot.db") -> str:
         store = open_store(self.folder / name)
 
         def job(turn: Any) -> None:
@@ -328,11 +328,11 @@ def test_without_being_asked_there_are_as_many_as_processors(
 def test_beside_a_gate_that_tells_its_log_no_process_is_started(
     desk: Desk, soon: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    gate = Beside(pid=7, robot=ROBOT, socket="gate.sock")
+    gate = GateAddress(pid=7, robot=ROBOT, socket="gate.sock")
 
     @contextmanager
-    def told(_: Path) -> Iterator[Log]:
-        yield Log(iter(ROWS), gate)
+    def told(_: Path) -> Iterator[ReadableLog]:
+        yield ReadableLog(iter(ROWS), gate)
 
     monkeypatch.setattr(log_verify, "reading", told)
     assert desk("audit", "verify", "robot.db", "--jobs", "4")[0] == 0
@@ -413,7 +413,7 @@ def test_no_cell_is_a_formula() -> None:
 
 def test_a_damaged_store_is_not_exported_as_if_it_were_text() -> None:
     with pytest.raises(MalformedError):
-        row_line(Row(0, b"\xff", b"{}", b""))
+        row_line(LogRow(0, b"\xff", b"{}", b""))
     with pytest.raises(MalformedError):
         note_line(b"\xff")
 

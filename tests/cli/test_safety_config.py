@@ -24,7 +24,7 @@ from authguard_r.core.identifiers import (
 )
 from authguard_r.keys.trust import read_trust
 from authguard_r.safety import (
-    Checker,
+    ExternalChecker,
     Rule,
     SafetyConfig,
     default_config,
@@ -155,7 +155,7 @@ def test_every_field_of_a_configuration_can_be_said(shell: Shell) -> None:
         paced={ActionType("wait"): 10},
         in_place=(ActionType("pick"), ActionType("place")),
         rules=(Rule(id="home", formula="F destination = dock", message="to the dock"),),
-        checker=Checker(id="mine", socket="/run/c.sock", timeout_ms=40, uid=USER.pw_uid),
+        checker=ExternalChecker(id="mine", socket="/run/c.sock", timeout_ms=40, uid=USER.pw_uid),
     )
     assert (code, opened()) == (0, wanted)
     same = {"schema", "id", "version", "rid", "profile"}

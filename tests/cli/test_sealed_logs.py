@@ -36,7 +36,7 @@ from authguard_r.audit.record import (
     without,
 )
 from authguard_r.audit.sealed_envelopes import SEALING
-from authguard_r.audit.verify import Row, verify_rows
+from authguard_r.audit.verify import LogRow, verify_rows
 from authguard_r.auditor.export_format import row_line
 from authguard_r.cli import call
 from authguard_r.core.encoding import encode_fast
@@ -117,7 +117,7 @@ class World:
         code, text = self(command, who, *words, "--json")
         return code, json.loads(text)
 
-    def rows(self) -> list[Row]:
+    def rows(self) -> list[LogRow]:
         return list(read_rows(self.log))
 
     def seq(self, kind: str, decision: str, nth: int = 0) -> int:
@@ -351,7 +351,7 @@ def test_a_key_for_which_nothing_was_wrapped_is_said_plainly(world: World) -> No
 Change = Callable[[Record, dict[str, Sealed]], None]
 
 
-def forged(rows: list[Row], seq: int, change: Change) -> list[Row]:
+def forged(rows: list[LogRow], seq: int, change: Change) -> list[LogRow]:
     """Return the log with one record changed, every commitment, digest and link made anew."""
     row = rows[seq]
     record, beside = read_record(row.record, where=""), read_sealed(row.sealed, where="")
@@ -362,7 +362,7 @@ def forged(rows: list[Row], seq: int, change: Change) -> list[Row]:
     return rechained([*rows[:seq], new, *rows[seq + 1 :]], seq)
 
 
-def written(path: Path, rows: list[Row]) -> Path:
+def written(path: Path, rows: list[LogRow]) -> Path:
     path.write_bytes(b"".join(map(row_line, rows)))
     return path
 
@@ -481,8 +481,8 @@ def test_what_is_sealed_for_a_reader_is_counted_with_its_names(world: World, who
 
 
 def destroyed(
-    rows: list[Row], data: DataClass, *, keys: bool = True, boxes: bool = True
-) -> list[Row]:
+    rows: list[LogRow], data: DataClass, *, keys: bool = True, boxes: bool = True
+) -> list[LogRow]:
     """Return the log after fields of a class were destroyed: the links are as they were."""
     left = []
     for row in rows:

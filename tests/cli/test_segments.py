@@ -19,7 +19,7 @@ from authguard_r.anchoring.checkpoints import Checkpoints
 from authguard_r.anchoring.rotation import Rotation, RotationPolicy
 from authguard_r.cli import call
 from authguard_r.keys.signer import folder_signer
-from authguard_r.operations.checkup.advice import Code
+from authguard_r.operations.checkup.advice import AdviceCode
 from authguard_r.operations.checkup.logbook import store_advice
 from authguard_r.store.segments import name_of
 from authguard_r.store.sqlite import SqliteStore, open_store
@@ -265,7 +265,7 @@ def test_a_segment_that_another_key_signed_is_refused(
 def test_a_segment_that_others_read_is_said(log: Path) -> None:
     segment(log, FIRST).chmod(0o644)
     found = store_advice(log, scenarios.NOW, uid=os.geteuid(), deep=True)
-    places = [one.place for one in found if one.code is Code.READABLE]
+    places = [one.place for one in found if one.code is AdviceCode.READABLE]
     assert str(segment(log, FIRST)) in places
     assert str(segment(log, 0)) not in places
 

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from authguard_r.cli import call
-from authguard_r.enforcement.confirmation import How
+from authguard_r.enforcement.confirmation import ConfirmationMode
 from fixtures import scenarios
 
 SITE = ["--site", "h/site.yaml"]
@@ -121,7 +121,7 @@ def test_a_person_is_shown_every_form_and_asked_once(shell: Shell) -> None:
     for station in ("station-101", "station-102", "station-103"):
         assert f"from pharmacy to {station}" in out
     record = json.loads(Path("t.confirmation.json").read_text())
-    assert (record["how"], record["shown"]) == (How.INTERACTIVE, True)
+    assert (record["how"], record["shown"]) == (ConfirmationMode.INTERACTIVE, True)
     code, shown = shell.json("mission", "template", "review", "t.token", *SITE)
     assert (code, shown["card_digest"]) == (0, record["card"])
     assert (shown["digest"], shown["combinations"]) == (record["digest"], 6)

@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from authguard_r.audit.record import read_sealed
-from authguard_r.audit.verify import Row, verify_rows
+from authguard_r.audit.verify import LogRow, verify_rows
 from authguard_r.core.errors import StoreError
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.ports import Turn
@@ -81,7 +81,7 @@ def test_a_log_over_segments_and_store_is_the_log_that_it_was(
         expected = before[first : first + count]
         assert store.read(lambda turn, at=(first, count): turn.rows(*at)) == expected
     store.close()
-    assert tuple(read_rows(path)) == tuple(Row(*row) for row in before)
+    assert tuple(read_rows(path)) == tuple(LogRow(*row) for row in before)
     assert verify_rows(read_rows(path)).whole
 
 
@@ -155,7 +155,7 @@ def test_only_rows_that_a_segment_has_are_deleted(
         connection.execute(statement)
     connection.execute("DELETE FROM audit WHERE seq = 3")
     connection.close()
-    assert tuple(read_rows(path)) == tuple(Row(*row) for row in before)
+    assert tuple(read_rows(path)) == tuple(LogRow(*row) for row in before)
 
 
 @pytest.mark.parametrize(
@@ -520,7 +520,7 @@ def test_a_write_that_a_kill_tore_in_a_segment_is_undone_by_whoever_reads_it_nex
         assert Path(f"{segment(left, 0)}-journal").stat().st_size > 512
         if use is not None:
             use(left).close()
-        assert tuple(read_rows(left)) == tuple(Row(*row) for row in before)
+        assert tuple(read_rows(left)) == tuple(LogRow(*row) for row in before)
         assert not Path(f"{segment(left, 0)}-journal").exists()
     torn.close()
 

@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from authguard_r.audit.record import Entry, append, read_sealed
-from authguard_r.audit.verify import Row, verify_rows
+from authguard_r.audit.verify import LogRow, verify_rows
 from authguard_r.core.chain import GENESIS
 from authguard_r.core.errors import RefusedError, StoreError
 from authguard_r.core.ports import Turn
@@ -45,10 +45,10 @@ class Opened:
 
     def __init__(self, path: Path | None) -> None:
         self._path = path
-        self.rows: tuple[Row, ...] = ()
+        self.rows: tuple[LogRow, ...] = ()
         self.store = MemoryStore() if path is None else open_store(path)
 
-    def close(self) -> tuple[Row, ...]:
+    def close(self) -> tuple[LogRow, ...]:
         self.store.close()
         if isinstance(self.store, MemoryStore):
             self.rows = self.store.rows()
@@ -366,10 +366,10 @@ def test_rows_are_read_in_the_turn_with_those_that_it_appends(opened: Opened) ->
 
     rows = opened.store.run(job)
     assert [row[0] for row in rows] == [3, 4, 5]
-    assert tuple(Row(*row) for row in opened.store.run(lambda turn: turn.rows(0, 100))) == (
+    assert tuple(LogRow(*row) for row in opened.store.run(lambda turn: turn.rows(0, 100))) == (
         opened.close()
     )
-    assert opened.rows[3:] == tuple(Row(*row) for row in rows)
+    assert opened.rows[3:] == tuple(LogRow(*row) for row in rows)
 
 
 @pytest.mark.parametrize(
@@ -547,7 +547,7 @@ def test_values_go_and_the_chain_stays(opened: Opened) -> None:
     assert b"secret" not in opened.store.run(forgets)[2]
     assert beside(opened.store, 0) == {"there": "what stays"}
     rows = opened.store.read(lambda turn: turn.rows(0, 2))
-    found = verify_rows([Row(*row) for row in rows], terminal=None)
+    found = verify_rows([LogRow(*row) for row in rows], terminal=None)
     assert (found.whole, found.size) == (True, 2)
 
 

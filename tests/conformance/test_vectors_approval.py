@@ -15,7 +15,7 @@ import msgspec
 
 import authguard_reference as oracle
 from authguard_r.approvals import open_approval
-from authguard_r.approvals.requests import Asked, why_not
+from authguard_r.approvals.requests import OpenRequest, why_not
 from authguard_r.core.action import Action
 from authguard_r.core.approval import VerifiedApproval
 from authguard_r.core.decide import decide
@@ -142,7 +142,7 @@ def test_every_answer_is_worth_what_is_published() -> None:
             asked = None
             if vector["request"] is not None:
                 ((grant, request),) = standing.requests.items()
-                asked = Asked(
+                asked = OpenRequest(
                     verified=mission,
                     grant=next(g for g in mission.mission.actions if g.id == grant),
                     request=request,

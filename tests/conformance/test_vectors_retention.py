@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from authguard_r.anchoring.sealing import SealingPolicy
 from authguard_r.audit.record import BOX
-from authguard_r.audit.verify import Row
+from authguard_r.audit.verify import LogRow
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.mission import DataClass, Mission
@@ -69,12 +69,12 @@ def left(sim: Simulation, mission: Mission) -> set[str]:
     while sim.gate.management.shred_on():
         pass
     rows = sim.gate.ledger.peek(lambda turn: turn.rows(0, 10_000))
-    mine = [row for row in starmap(Row, rows) if mission.mid == mid_of(row)]
+    mine = [row for row in starmap(LogRow, rows) if mission.mid == mid_of(row)]
     names = {name for row in mine for name in sealed_logs.values(row)}
     return {name.removeprefix(BOX) for name in names if name.startswith(BOX)}
 
 
-def mid_of(row: Row) -> str:
+def mid_of(row: LogRow) -> str:
     return sealed_logs.told(row).link.mid
 
 

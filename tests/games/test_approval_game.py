@@ -29,7 +29,7 @@ from authguard_r.approvals import open_approval
 from authguard_r.approvals.preapprovals import VerifiedApprovals
 from authguard_r.core import decide as gate
 from authguard_r.core.action import Action, ActionScope
-from authguard_r.core.approval import Approval, Verdict
+from authguard_r.core.approval import Approval, ApprovalVerdict
 from authguard_r.core.checks import approval as check
 from authguard_r.core.checks.people import people_behind
 from authguard_r.core.encoding import Tag, b64, digest_of
@@ -38,7 +38,7 @@ from authguard_r.core.identifiers import Digest
 from authguard_r.core.mission import Mission
 from authguard_r.core.token import read_token, sign_object
 from authguard_r.enforcement import enforcer
-from authguard_r.enforcement.inputs import Intake
+from authguard_r.enforcement.inputs import InputVerifier
 from authguard_r.enforcement.management import answers
 from authguard_r.enforcement.report import Report
 from authguard_r.keys import trust as keys
@@ -183,7 +183,7 @@ class Game:
             "situation": request.situation,
             "counter": request.counter,
             "expires_ms": request.expires_ms,
-            "verdict": Verdict.APPROVE,
+            "verdict": ApprovalVerdict.APPROVE,
         }
         return Approval(**{**fields, **changes})
 
@@ -259,11 +259,11 @@ class Game:
         honest = {
             person
             for person, value in about
-            if value.verdict is Verdict.APPROVE and judged.now.utc_ms <= value.expires_ms
+            if value.verdict is ApprovalVerdict.APPROVE and judged.now.utc_ms <= value.expires_ms
         }
         if len(honest) + self.thieves < needed - 1:
             self.wins.append(f"{len(honest)} honest people, {needed} needed")
-        if any(value.verdict is Verdict.DENY for _, value in about):
+        if any(value.verdict is ApprovalVerdict.DENY for _, value in about):
             self.wins.append("somebody denied it")
         if counter in self.used:
             self.wins.append("a second action out of one question")
@@ -510,7 +510,7 @@ def after_the_time(game: Game, between: Callable[[], None]) -> None:
 @strategy
 def past_a_denial(game: Game, between: Callable[[], None]) -> None:
     game.propose()
-    denial = game.asks("safety-officer-1", verdict=Verdict.DENY)
+    denial = game.asks("safety-officer-1", verdict=ApprovalVerdict.DENY)
     game.hand_in(*game.asks(*HONEST), *denial)
     between()
     game.propose()
@@ -521,7 +521,7 @@ def past_a_denial(game: Game, between: Callable[[], None]) -> None:
 @strategy
 def past_a_denial_whose_certificate_ends(game: Game, between: Callable[[], None]) -> None:
     game.propose()
-    game.hand_in(*game.asks("safety-officer-1/ends-soon", verdict=Verdict.DENY))
+    game.hand_in(*game.asks("safety-officer-1/ends-soon", verdict=ApprovalVerdict.DENY))
     game.hand_in(*game.asks(*HONEST))
     game.here.jump(24 * HOUR_MS + HOUR_MS)
     between()
@@ -537,7 +537,7 @@ def altered_bytes(game: Game, between: Callable[[], None]) -> None:
     assert wanted is not None
     stale = [
         *game.asks(*HONEST, counter=wanted.counter + 9),
-        *game.asks(*HONEST, verdict=Verdict.DENY, counter=wanted.counter + 8),
+        *game.asks(*HONEST, verdict=ApprovalVerdict.DENY, counter=wanted.counter + 8),
     ]
     right = read_token(sign_object(wanted, Tag.APPROVAL, key(THIEVES[0])))
     for token in stale:
@@ -675,7 +675,7 @@ def everything_ever_taken_in(*, then: bool = False) -> Any:
         then: as authentic as when it began, whatever has ended since.
     """
 
-    def answers(self: Intake, act: Any, standing: Any) -> VerifiedApprovals:
+    def answers(self: InputVerifier, act: Any, standing: Any) -> VerifiedApprovals:
         at = scenarios.NOW if then else act.now
         held = self._ledger.store._held  # type: ignore[attr-defined]
         tokens = [
@@ -692,7 +692,7 @@ def everything_ever_taken_in(*, then: bool = False) -> Any:
                 continue
         return VerifiedApprovals(approvals=tuple(opened), tokens=tuple(tokens))
 
-    return patch.object(Intake, "answers", answers)
+    return patch.object(InputVerifier, "answers", answers)
 
 
 def keeping_all() -> Any:
@@ -701,7 +701,7 @@ def keeping_all() -> Any:
 
 
 def any_name() -> Any:
-    return patch.object(Intake, "_require_one_name", lambda *_: None)
+    return patch.object(InputVerifier, "_require_one_name", lambda *_: None)
 
 
 def asked(**fields: str) -> Any:
@@ -959,7 +959,7 @@ class Sequences(RuleBasedStateMachine):
 
     @rule(person=st.sampled_from(HONEST))
     def somebody_denies(self, person: str) -> None:
-        self.game.hand_in(*self.game.asks(person, verdict=Verdict.DENY))
+        self.game.hand_in(*self.game.asks(person, verdict=ApprovalVerdict.DENY))
 
     @rule(
         name=st.sampled_from(

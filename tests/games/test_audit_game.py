@@ -25,7 +25,7 @@ import pytest
 
 from authguard_r.audit.note import NoteKey
 from authguard_r.audit.record import BOX, WRAP, Sealed, Terminal, read_record, read_sealed
-from authguard_r.audit.verify import Row, Verification, of_checkpoint, verify_rows
+from authguard_r.audit.verify import LogRow, Verification, of_checkpoint, verify_rows
 from authguard_r.auditor.export_format import note_line, row_line
 from authguard_r.cli.log_reading import reading
 from authguard_r.core.encoding import Tag, encode_fast
@@ -33,7 +33,7 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.token import open_token
 from authguard_r.server.wiring import sign_terminal
 from authguard_r.store.sqlite import open_store
-from authguard_r.witness.rules import Finding, Log
+from authguard_r.witness.rules import RequestFinding, WitnessedLog
 from fixtures import scenarios
 from fixtures.audit_game import (
     QUORUM,
@@ -193,7 +193,7 @@ def test_of_a_sealed_log_nothing_but_what_is_gone_passes() -> None:
     anchors = auditor(of, kept=of.size).knows()
     rest = {name: one for row in of.rows for name, one in read_sealed(row.sealed, where="").items()}
 
-    def found(row: Row, values: dict[str, Sealed]) -> Verification:
+    def found(row: LogRow, values: dict[str, Sealed]) -> Verification:
         sealed = encode_fast(dict(sorted(values.items())))
         other = msgspec.structs.replace(row, sealed=sealed)
         rows = (*of.rows[: row.seq], other, *of.rows[row.seq + 1 :])
@@ -279,7 +279,7 @@ def sets(of: Genuine, *, most: int = FEW) -> list[tuple[Honest, ...]]:
     return [found for count in range(most + 1) for found in combinations(of.witnesses, count)]
 
 
-def forks(of: Genuine) -> list[list[Row]]:
+def forks(of: Genuine) -> list[list[LogRow]]:
     """Return logs that were never written: in another order of things from early and late on."""
     return [
         fork(list(of.rows), 0),
@@ -325,7 +325,11 @@ def test_the_logs_own_key_does_not_help_without_enough_witnesses() -> None:
             hands = Hands(of, owns=True, colluders=colluders)
             honest, answers = hands.asked(bare, rows)
             assert honest == bare
-            assert set(answers) <= {Finding.FORKED, Finding.UNPROVEN, Finding.IMPOSSIBLE}
+            assert set(answers) <= {
+                RequestFinding.FORKED,
+                RequestFinding.UNPROVEN,
+                RequestFinding.IMPOSSIBLE,
+            }
             assert len(answers) == WITNESSES - len(colluders)
             note, twice = hands.colluded(bare), hands.colluded(bare, twice=True)
             for made in (note, twice, hands.transplanted(note)):
@@ -366,7 +370,9 @@ def test_a_witness_that_never_saw_the_log_is_as_good_as_one_that_lies() -> None:
     for colluding in range(QUORUM):
         for unseen in range(WITNESSES - colluding + 1):
             some = [
-                msgspec.structs.replace(one, log=Log(origin=one.log.origin, keys=one.log.keys))
+                msgspec.structs.replace(
+                    one, log=WitnessedLog(origin=one.log.origin, keys=one.log.keys)
+                )
                 if colluding <= number < colluding + unseen
                 else one
                 for number, one in enumerate(of.witnesses)
@@ -374,7 +380,7 @@ def test_a_witness_that_never_saw_the_log_is_as_good_as_one_that_lies() -> None:
             there = msgspec.structs.replace(of, witnesses=tuple(some))
             hands = Hands(there, owns=True, colluders=tuple(some[:colluding]))
             note, answers = hands.asked(hands.colluded(hands.signed(rows)), rows)
-            assert answers.count(Finding.COSIGNED) == unseen
+            assert answers.count(RequestFinding.COSIGNED) == unseen
             forged = Forged(tuple(rows), (note.encode(),))
             lost = is_lost(auditor(of).hears(forged), forged, of)
             assert lost is (colluding + unseen >= QUORUM)
@@ -387,7 +393,7 @@ def test_what_the_gates_own_key_writes_on_is_no_tampering() -> None:
     rows = rechained([*of.rows, painted(of.rows[7])], of.size)
     hands = Hands(of, owns=True)
     note, answers = hands.asked(hands.signed(rows), rows)
-    assert set(answers) == {Finding.COSIGNED}
+    assert set(answers) == {RequestFinding.COSIGNED}
     forged = Forged(tuple(rows), (note.encode(),))
     told = auditor(of, kept=of.size).hears(forged)
     assert (told.whole, told.anchored, told.size) == (True, "witnessed", of.size + 1)
@@ -441,7 +447,7 @@ def as_store(of: Genuine, path: Path) -> Path:
     return path
 
 
-def rewrite(path: Path, rows: tuple[Row, ...]) -> None:
+def rewrite(path: Path, rows: tuple[LogRow, ...]) -> None:
     """Put these rows into a store's file, whatever its triggers say."""
     connection = apsw.Connection(str(path))
     for (name,) in list(connection.execute("SELECT name FROM sqlite_schema WHERE type='trigger'")):
@@ -452,7 +458,7 @@ def rewrite(path: Path, rows: tuple[Row, ...]) -> None:
     connection.close()
 
 
-def tuple_of(row: Row) -> tuple[int, bytes, bytes, bytes]:
+def tuple_of(row: LogRow) -> tuple[int, bytes, bytes, bytes]:
     return row.seq, row.record, row.sealed, row.link
 
 
@@ -576,7 +582,7 @@ def test_random_tampering_wins_against_one_who_asks_nobody() -> None:
 
 
 @cache
-def anchored_log() -> tuple[tuple[Row, ...], Terminal]:
+def anchored_log() -> tuple[tuple[LogRow, ...], Terminal]:
     """Return a log of real decisions and the authentic terminal digest over it."""
     sim = scenarios.simulation()
     sim.gate.management.activate(scenarios.token())

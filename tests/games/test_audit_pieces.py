@@ -13,7 +13,7 @@ from functools import cache
 import pytest
 
 from authguard_r.audit import parallel
-from authguard_r.audit.verify import Row, Verification, Verifier, verify_piece, verify_rows
+from authguard_r.audit.verify import LogRow, LogVerifier, Verification, verify_piece, verify_rows
 from fixtures.audit_game import Auditor, Genuine, auditor, genuine
 from fixtures.tampering import ATTACKS, destroy_all
 
@@ -36,7 +36,7 @@ def auditors(of: Genuine) -> tuple[Auditor, ...]:
     return auditor(of, kept=of.size), auditor(of, kept=min(of.notes)), Auditor(keys=())
 
 
-def in_pieces(rows: list[Row], verifier: Verifier) -> Verification:
+def in_pieces(rows: list[LogRow], verifier: LogVerifier) -> Verification:
     """Join pieces of the rows for as long as that can be done, and let the rest be told."""
     first = 0
     while first < len(rows):
@@ -61,7 +61,7 @@ def test_every_attack_on_any_record_is_told_alike_in_pieces(
         for one in auditors(of) if rows is not None else ():
             known = one.knows((of.notes[of.size].encode(),)) if one.keys else ()
             told = verify_rows(rows or (), anchors=known)
-            assert in_pieces(rows or [], Verifier(anchors=known)) == told, (name, at)
+            assert in_pieces(rows or [], LogVerifier(anchors=known)) == told, (name, at)
 
 
 @pytest.mark.parametrize("name", ATTACKS)
@@ -87,6 +87,6 @@ def test_the_genuine_log_and_one_whose_values_are_gone_are_whole_in_pieces(
     for rows in (list(of.rows), destroy_all(list(of.rows))):
         for one in auditors(of):
             known = one.knows((of.notes[of.size].encode(),)) if one.keys else ()
-            found = in_pieces(rows, Verifier(anchors=known))
+            found = in_pieces(rows, LogVerifier(anchors=known))
             assert found == verify_rows(rows, anchors=known)
             assert found.whole

@@ -18,7 +18,7 @@ import pytest
 
 from authguard_r.approvals import Selection
 from authguard_r.audit.record import read_record
-from authguard_r.core.approval import Approval, Verdict
+from authguard_r.core.approval import Approval, ApprovalVerdict
 from authguard_r.core.encoding import Tag, b64, decode, digest_of, unb64
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.mission import Mission
@@ -137,7 +137,7 @@ def answer(_: Simulation) -> Approval:
         "situation": b64(bytes(32)),
         "counter": 1,
         "expires_ms": scenarios.START_MS + 60_000,
-        "verdict": Verdict.APPROVE,
+        "verdict": ApprovalVerdict.APPROVE,
     }
     return Approval(**about_the_mission(**fields))
 

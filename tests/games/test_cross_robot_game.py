@@ -16,7 +16,7 @@ import pytest
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.mission import Mission
 from fixtures import scenarios
-from missionpair.bench import Scene
+from missionpair.bench import BenchScene
 from missionpair.suite import force_in
 
 VARIANTS: dict[str, Callable[[Mission], Mission]] = {
@@ -38,7 +38,7 @@ def test_another_robot_does_not_take_the_mission_in(reason: str) -> None:
 def test_another_robot_accepts_no_action_even_with_the_mission_in_its_registry(reason: str) -> None:
     sim = scenarios.simulation(rid=scenarios.OTHER)
     mission = VARIANTS[reason](scenarios.mission())
-    force_in(Scene(sim=sim, mission=mission, plan=b""), scenarios.token(mission))
+    force_in(BenchScene(sim=sim, mission=mission, plan=b""), scenarios.token(mission))
     report = scenarios.propose(sim, scenarios.navigate("dock", "pharmacy"))
     assert report.outcome is None
     assert reason in [str(r) for r in report.judged.decision.reasons]

@@ -25,7 +25,7 @@ from authguard_r.core.token import VerifiedMission, sign_object
 from authguard_r.enforcement.enforcer import evaluate
 from authguard_r.normalize import Binder
 from authguard_r.provenance.context import CHANNELS, ContextLedger
-from authguard_r.provenance.mentions import Names
+from authguard_r.provenance.mentions import MentionNames
 from fixtures import scenarios
 from fixtures.decision_cases import plain, plain_facts
 
@@ -171,8 +171,8 @@ def persuasion(row: int, signed: bytes) -> list[str]:
 
 
 @cache
-def names() -> Names:
-    return Names(Binder(scenarios.site(), scenarios.binding()).spellings())
+def names() -> MentionNames:
+    return MentionNames(Binder(scenarios.site(), scenarios.binding()).spellings())
 
 
 def told(channel: str, texts: list[str]) -> ContextLedger:

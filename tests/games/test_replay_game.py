@@ -20,7 +20,7 @@ import pytest
 
 from authguard_r.approvals import Selection, answer
 from authguard_r.core.action import Action
-from authguard_r.core.approval import Verdict
+from authguard_r.core.approval import ApprovalVerdict
 from authguard_r.core.encoding import Tag, b64, digest_of, unb64
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import Digest, GrantId, Identifier, MissionId
@@ -31,9 +31,9 @@ from authguard_r.core.token import sign_object
 from authguard_r.enforcement.report import Report
 from authguard_r.enforcement.signed_orders import Command, StoreClaim, Verb
 from authguard_r.server import proposals as proposals_module
-from authguard_r.server.proposals import Keeper, Kept, Proposals
+from authguard_r.server.proposals import Keeper, ProposalRecord, ProposalRegistry
 from authguard_r.store.memory import MemoryStore
-from authguard_r.store.transactions import Act, Ledger
+from authguard_r.store.transactions import Ledger, Transaction
 from authguard_r.wire.disclosure import Disclosure
 from fixtures import scenarios
 from fixtures.restarting_gate import Station, copied, go, signer, way
@@ -199,7 +199,7 @@ class Replayer:
     def does(self, action: Action) -> str:
         """Propose under a key of its own; what was used up is kept to be proposed again."""
         key = f"k{len(self.keys)}"
-        before = Kept(evidence=EVIDENCE, planned=1, steps=())
+        before = ProposalRecord(evidence=EVIDENCE, planned=1, steps=())
         begun = self.here.submit(action, keep=Keeper(CLIENT, key, before))
         if isinstance(begun, Report):
             return str(begun.judged.decision.reasons[0])  # type: ignore[union-attr]
@@ -214,7 +214,7 @@ class Replayer:
         assert standing is not None
         verified = self.here.gate.ledger.run(self.here.gate.enforcer.intake.active_mission)
         ((grant, request),) = standing.requests.items()
-        value = answer(verified, grant, request, rid=scenarios.RID, verdict=Verdict.APPROVE)
+        value = answer(verified, grant, request, rid=scenarios.RID, verdict=ApprovalVerdict.APPROVE)
         self.first("approval", sign_object(value, Tag.APPROVAL, signer("supervisor-1")))
         return self.does(action)
 
@@ -283,7 +283,7 @@ class Replayer:
 
     def _keys_again(self) -> list[str]:
         """Ask with every key again: the same answer, nothing decided; another plan is refused."""
-        proposals = Proposals(self.here.gate.ledger, Disclosure.FULL)
+        proposals = ProposalRegistry(self.here.gate.ledger, Disclosure.FULL)
         through = []
         for key in self.keys:
             known = proposals.recall(CLIENT, key, EVIDENCE)
@@ -443,14 +443,14 @@ def test_a_store_that_was_put_back_brings_nothing_back(step: str) -> None:
 
 def no_nonces() -> Any:
     """Forget what was carried out, and when the newest order was signed: either stops a replay."""
-    real, gone = Act.get, {"command", "order", "suspended"}
+    real, gone = Transaction.get, {"command", "order", "suspended"}
     return patch.object(
-        Act, "get", lambda self, kind, key: None if kind in gone else real(self, kind, key)
+        Transaction, "get", lambda self, kind, key: None if kind in gone else real(self, kind, key)
     )
 
 
 def no_registry() -> Any:
-    return patch.object(Act, "standing", lambda *_: None)
+    return patch.object(Transaction, "standing", lambda *_: None)
 
 
 def no_last_snapshot() -> Any:
@@ -464,7 +464,10 @@ CONTROLS: dict[str, tuple[Callable[[], Any], str]] = {
     "the registry": (no_registry, "mission"),
     "the last snapshot": (no_last_snapshot, "snapshot"),
     "uses": (lambda: without("check_uses"), "action"),
-    "keys": (lambda: patch.object(proposals_module.Proposals, "_told", lambda *_: None), "key"),
+    "keys": (
+        lambda: patch.object(proposals_module.ProposalRegistry, "_told", lambda *_: None),
+        "key",
+    ),
 }
 
 

@@ -19,7 +19,7 @@ import pytest
 from authguard_r.approvals import Selection
 from authguard_r.audit.record import read_record
 from authguard_r.authoring.keys.setup import Member, add_member, init_folder
-from authguard_r.core.approval import Verdict
+from authguard_r.core.approval import ApprovalVerdict
 from authguard_r.core.encoding import Tag, b64, digest_of
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.mission import Mission
@@ -31,7 +31,7 @@ from authguard_r.keys.certificate import Role
 from authguard_r.keys.signer import folder_signer
 from authguard_r.operations.simulation import Simulation, simulate
 from fixtures import scenarios, templates
-from missionpair.bench import Bench, Scene, approve, propose
+from missionpair.bench import Bench, BenchScene, approve, propose
 from missionpair.suite import restricted
 
 GO = scenarios.navigate("dock", "pharmacy")
@@ -296,7 +296,7 @@ def test_a_supervisor_who_has_no_say_there_chooses_nothing(
 # answers
 
 
-def asked(folder: Path) -> tuple[Bench, Scene]:
+def asked(folder: Path) -> tuple[Bench, BenchScene]:
     """Return the scene in which two supervisors are asked about the isolation room."""
     bench = Bench(folder, scenarios.site(), scenarios.binding(), scenarios.START_MS)
     scene = restricted(bench)
@@ -304,7 +304,7 @@ def asked(folder: Path) -> tuple[Bench, Scene]:
     return bench, scene
 
 
-def reasons(scene: Scene) -> list[str]:
+def reasons(scene: BenchScene) -> list[str]:
     judged = propose(scene)[-1].judged
     assert judged is not None
     return [str(reason) for reason in judged.decision.reasons]
@@ -341,10 +341,10 @@ def test_the_denial_of_a_supervisor_who_has_no_say_there_does_not_count(folder: 
     foreign = certified(folder, Role.SUPERVISOR, ("courier-1",), ("office-1",))
     own = certified(folder, Role.SUPERVISOR, ("courier-1",), WAY)
     bench, scene = asked(folder)
-    approve(bench, scene, foreign, verdict=Verdict.DENY)
+    approve(bench, scene, foreign, verdict=ApprovalVerdict.DENY)
     assert reasons(scene) == ["APPROVAL_REQUIRED"]
     approve(bench, scene, "supervisor-1", "supervisor-2")
-    approve(bench, scene, own, verdict=Verdict.DENY)
+    approve(bench, scene, own, verdict=ApprovalVerdict.DENY)
     assert reasons(scene) == ["APPROVAL_DENIED"]
 
 

@@ -18,7 +18,7 @@ from itertools import combinations, product
 import pytest
 from msgspec import Struct
 
-from authguard_r.anchoring.checkpoint_scheduler import NotaryPolicy
+from authguard_r.anchoring.checkpoint_scheduler import CheckpointPolicy
 from authguard_r.core.reasons import Reason
 from authguard_r.operations.simulation import Simulation
 from authguard_r.store.memory import MemoryStore
@@ -106,7 +106,7 @@ def deleted(life: Life, at: int) -> MemoryStore:
 def forked(life: Life, at: int) -> MemoryStore:
     """An older copy went on under a gate that asks nobody, until it was as long and longer."""
     size = len(life.left._rows)
-    sim = begin(rolled_back(life, at), NotaryPolicy(), at_ms=scenarios.START_MS + HOUR_MS)
+    sim = begin(rolled_back(life, at), CheckpointPolicy(), at_ms=scenarios.START_MS + HOUR_MS)
     while len(sim.gate.ledger.store._rows) < size + at:  # type: ignore[attr-defined]
         sim.gate.enforcer.stop(by="person", is_planner=False)
     store = left_by(sim)
@@ -136,7 +136,7 @@ ATTACKS: tuple[Callable[[Life, int], MemoryStore], ...] = (
 LIARS = [found for count in range(len(NAMES)) for found in combinations(range(len(NAMES)), count)]
 
 
-def serves(store: MemoryStore, notary: NotaryPolicy) -> bool:
+def serves(store: MemoryStore, notary: CheckpointPolicy) -> bool:
     """Return whether a gate on this store goes on; where it does not, nothing moves."""
     sim = begin(store, notary, at_ms=scenarios.START_MS + 2 * HOUR_MS)
     try:
@@ -150,7 +150,7 @@ def serves(store: MemoryStore, notary: NotaryPolicy) -> bool:
         sim.gate.close()
 
 
-def asked(life: Life) -> NotaryPolicy:
+def asked(life: Life) -> CheckpointPolicy:
     return policy(*life.witnesses, quorum=2)
 
 
@@ -171,7 +171,7 @@ def test_where_nobody_is_asked_or_everybody_lies_it_does(
 ) -> None:
     """The control: it is the witness that finds it."""
     for at in range(len(life.copies) - 1):
-        assert serves(attack(life, at), NotaryPolicy()), at
+        assert serves(attack(life, at), CheckpointPolicy()), at
         life.again((0, 1, 2))
         assert serves(attack(life, at), asked(life)), at
 
@@ -180,7 +180,7 @@ def test_a_log_that_was_cut_does_not_fit_the_checkpoint_beside_it(life: Life) ->
     """Without a witness, too: what the adversary leaves lying is held against him."""
     store = life.left
     store._rows = store._rows[:-1]
-    assert not serves(store, NotaryPolicy())
+    assert not serves(store, CheckpointPolicy())
 
 
 def test_what_was_left_serves_whoever_lies(life: Life) -> None:

@@ -24,7 +24,7 @@ from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.lease import Lease
 from authguard_r.core.lifecycle import Status
-from authguard_r.core.ports import Flight
+from authguard_r.core.ports import GoalHandle
 from authguard_r.core.standing import Outcome, Standing
 from authguard_r.core.token import sign_object
 from authguard_r.enforcement.signed_orders import Command, Verb
@@ -102,7 +102,7 @@ def live(folder: Path, token: bytes, order: Order, parent: int) -> None:
         say(f"fault {sim.gate.anchor.shown()}")
     begin = sim.robot.dispatch
 
-    def told(action: Action, lease: Lease) -> Flight:
+    def told(action: Action, lease: Lease) -> GoalHandle:
         say(f"moving {lease.ticket}")
         return begin(action, lease)
 

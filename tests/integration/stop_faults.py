@@ -18,7 +18,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from authguard_r.client import GateClient
-from authguard_r.client.stopping import Answers, Reached, StopEverywhere
+from authguard_r.client.stopping import Answers, StopEverywhere, StopReply
 from authguard_r.wire.frames import frame
 from authguard_r.wire.messages import PROTOCOL, ClientRole, Hello, Kind, Stop
 from fixtures.gate_process import RunningGate, until
@@ -39,7 +39,7 @@ class Asked:
     def __init__(self, run: Path, why: str) -> None:
         self._stop = StopEverywhere(run, why=why, client="hand")
         self.told: list[str] = []
-        self.reached: Reached | None = None
+        self.reached: StopReply | None = None
         self.answered_ms = 0
         self.at_ms = now_ms()
         self._thread = threading.Thread(target=self._ask, daemon=True)
@@ -50,9 +50,9 @@ class Asked:
         """What each part has said so far."""
         return self._stop.answers
 
-    def confirmed(self) -> Reached:
+    def confirmed(self) -> StopReply:
         """Return the answer, waiting for it."""
-        found: Reached = until(lambda: self.reached, "an answer to the stop")
+        found: StopReply = until(lambda: self.reached, "an answer to the stop")
         return found
 
     def _ask(self) -> None:

@@ -22,7 +22,14 @@ import pytest
 
 from authguard_r.client import GateClient
 from authguard_r.core.errors import EnvironmentFault, MalformedError, RefusedError
-from authguard_r.integrations.functions import Failed, Guard, NotDone, Refused, Repeated, functions
+from authguard_r.integrations.functions import (
+    Failed,
+    GateGuard,
+    NotDone,
+    Refused,
+    Repeated,
+    functions,
+)
 from authguard_r.site.source import read_text, read_yaml
 from authguard_r.wire.messages import ClientRole, Mode
 from fixtures import scenarios
@@ -51,7 +58,7 @@ def robot(shared: SharedGate, tmp_path: Path) -> Iterator[Courier]:
         yield made
 
 
-def refused(guard: Guard, tool: str, **arguments: Any) -> NotDone:
+def refused(guard: GateGuard, tool: str, **arguments: Any) -> NotDone:
     """Return what the caller is told of a call that brings nothing back."""
     with pytest.raises(NotDone) as told:
         guard.call(tool, arguments)
@@ -229,7 +236,7 @@ def test_a_function_that_fails_has_failed_and_the_next_call_goes_on(robot: Couri
         assert guard.call("navigate_to", {"destination": "Pharmacy"}) == SIGN
 
 
-def again(guard: Guard, name: str, function: Any) -> None:
+def again(guard: GateGuard, name: str, function: Any) -> None:
     """Register a function in the place of another, as no program can."""
     guard._functions.tools.pop(name, None)
     guard.register(name, function)
@@ -259,7 +266,7 @@ def test_async_functions_run_in_the_loop_of_whoever_awaits(robot: Courier) -> No
         loops.append(asyncio.get_running_loop())
         return len(loops)
 
-    async def talk(guard: Guard) -> None:
+    async def talk(guard: GateGuard) -> None:
         assert await guard.acall("scan", {}) == 1
         assert loops[0] is asyncio.get_running_loop()
 
@@ -272,7 +279,7 @@ def test_async_functions_run_in_the_loop_of_whoever_awaits(robot: Courier) -> No
 
 
 def test_who_is_canceled_stops_waiting_and_the_call_goes_on(robot: Courier) -> None:
-    async def talk(guard: Guard) -> None:
+    async def talk(guard: GateGuard) -> None:
         asked = asyncio.create_task(guard.acall("scan", {}))
         await asyncio.to_thread(until, robot.calls, "the call")
         asked.cancel()
@@ -380,7 +387,7 @@ def test_an_async_function_that_is_stopped_is_canceled(robot: Courier) -> None:
         finally:
             ends.append("ended")
 
-    async def talk(guard: Guard) -> None:
+    async def talk(guard: GateGuard) -> None:
         asked = asyncio.create_task(guard.acall("navigate_to", {"destination": "Pharmacy"}))
         await asyncio.to_thread(until, robot.calls, "the call")
         connect = partial(GateClient.connect, robot.gate.stop_socket, role=ClientRole.OPERATOR)
@@ -642,7 +649,7 @@ def test_a_caller_whose_loop_has_ended_leaves_nothing_begun(robot: Courier) -> N
         began.set()
         robot.go.wait()
 
-    async def leave(guard: Guard) -> None:
+    async def leave(guard: GateGuard) -> None:
         waiting = asyncio.create_task(guard.acall("navigate_to", {"destination": "Pharmacy"}))
         await asyncio.sleep(0)
         waiting.cancel()

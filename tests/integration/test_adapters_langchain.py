@@ -32,7 +32,7 @@ from langgraph.types import Command
 from pydantic import BaseModel
 
 from authguard_r.core.errors import MalformedError
-from authguard_r.integrations.functions import Guard, Refused
+from authguard_r.integrations.functions import GateGuard, Refused
 from authguard_r.integrations.functions.langchain import GuardedTool, _fields, guard_tools
 from authguard_r.wire.messages import Mode
 from fixtures.gate_process import until
@@ -54,7 +54,7 @@ def robot(shared: SharedGate, tmp_path: Path) -> Iterator[Courier]:
 
 
 @pytest.fixture
-def guard(robot: Courier) -> Iterator[Guard]:
+def guard(robot: Courier) -> Iterator[GateGuard]:
     with robot.connect() as made:
         yield made
 
@@ -81,7 +81,7 @@ def called(name: str, **arguments: Any) -> dict[str, Any]:
 
 
 def test_a_guarded_tool_looks_as_it_did_and_holds_nothing_of_it(
-    robot: Courier, guard: Guard
+    robot: Courier, guard: GateGuard
 ) -> None:
     own = navigating(robot)
     (made,) = guard_tools(guard, [own])
@@ -139,7 +139,7 @@ async def one(item: Any) -> Any:
 
 @pytest.mark.parametrize("is_async", [False, True])
 def test_l1_every_way_of_calling_a_tool_reaches_it_with_a_release_alone(
-    is_async: bool, robot: Courier, guard: Guard
+    is_async: bool, robot: Courier, guard: GateGuard
 ) -> None:
     own = navigating(robot, is_async=is_async)
     (made,) = guard_tools(guard, [own])
@@ -161,7 +161,7 @@ def test_l1_every_way_of_calling_a_tool_reaches_it_with_a_release_alone(
     assert runs <= {*WAYS, "__call__"}
 
 
-def test_each_way_of_a_granted_call_arrives(robot: Courier, guard: Guard) -> None:
+def test_each_way_of_a_granted_call_arrives(robot: Courier, guard: GateGuard) -> None:
     async def scan() -> str:
         """Look."""
         return robot.scan()
@@ -203,7 +203,7 @@ def agent(model: Scripted, tools: list[BaseTool]) -> Any:
 
 @pytest.mark.parametrize("is_async", [False, True])
 def test_an_agent_is_refused_reads_why_and_goes_on(
-    is_async: bool, robot: Courier, guard: Guard
+    is_async: bool, robot: Courier, guard: GateGuard
 ) -> None:
     calls = [
         {"name": "navigate_to", "args": {"destination": place}}
@@ -220,7 +220,9 @@ def test_an_agent_is_refused_reads_why_and_goes_on(
     assert [call["arguments"]["destination"] for call in robot.calls()] == ["Pharmacy"]
 
 
-def test_what_is_injected_reaches_the_tool_and_no_proposal(robot: Courier, guard: Guard) -> None:
+def test_what_is_injected_reaches_the_tool_and_no_proposal(
+    robot: Courier, guard: GateGuard
+) -> None:
     found: dict[str, Any] = {}
 
     @tool
@@ -246,7 +248,7 @@ def test_what_is_injected_reaches_the_tool_and_no_proposal(robot: Courier, guard
     assert "mine" in found["config"]["tags"]
 
 
-def test_an_argument_that_the_gate_decides_is_injected_by_nobody(guard: Guard) -> None:
+def test_an_argument_that_the_gate_decides_is_injected_by_nobody(guard: GateGuard) -> None:
     @tool
     def navigate_to(destination: Annotated[str, InjectedToolArg], speed: float) -> str:
         """Go where the program says."""
@@ -256,7 +258,7 @@ def test_an_argument_that_the_gate_decides_is_injected_by_nobody(guard: Guard) -
         guard_tools(guard, [navigate_to])
 
 
-def test_an_artifact_stays_with_its_content(robot: Courier, guard: Guard) -> None:
+def test_an_artifact_stays_with_its_content(robot: Courier, guard: GateGuard) -> None:
     picture = object()
 
     @tool(response_format="content_and_artifact")
@@ -275,7 +277,7 @@ def test_an_artifact_stays_with_its_content(robot: Courier, guard: Guard) -> Non
     assert "station-103" in json.dumps(record.sealed["influences"])
 
 
-def refusal(guard: Guard, **arguments: Any) -> Refused:
+def refusal(guard: GateGuard, **arguments: Any) -> Refused:
     with pytest.raises(Refused) as told:
         guard.call("navigate_to", arguments)
     return told.value
@@ -301,7 +303,7 @@ async def abroken() -> str:
     ],
 )
 def test_a_tool_that_fails_has_failed_and_the_model_is_told(
-    handler: Any, said: str, robot: Courier, guard: Guard
+    handler: Any, said: str, robot: Courier, guard: GateGuard
 ) -> None:
     own = StructuredTool.from_function(broken, name="scan", handle_tool_error=handler)
     (made,) = guard_tools(guard, [own])
@@ -317,12 +319,12 @@ def test_a_tool_that_fails_has_failed_and_the_model_is_told(
     assert ended == ["failed"] * 2
 
 
-def again(guard: Guard) -> None:
+def again(guard: GateGuard) -> None:
     """Let another function be registered in the place of this one, as no program can."""
     guard._functions.tools.pop("scan")
 
 
-def test_whoever_asks_for_exceptions_has_them(robot: Courier, guard: Guard) -> None:
+def test_whoever_asks_for_exceptions_has_them(robot: Courier, guard: GateGuard) -> None:
     (made,) = guard_tools(guard, [navigating(robot)], raises=True)
     with pytest.raises(Refused):
         made.invoke({"destination": "Isolation Room"})
@@ -351,7 +353,7 @@ class AsyncLidar(Lidar):
         return "async " + self._run()
 
 
-def test_tools_of_a_class_are_guarded_too(guard: Guard) -> None:
+def test_tools_of_a_class_are_guarded_too(guard: GateGuard) -> None:
     (made,) = guard_tools(guard, [AsyncLidar()])
     assert made.invoke({}) == "turn 1"
     assert asyncio.run(made.ainvoke({})) == "async turn 2"
@@ -368,7 +370,9 @@ def test_tools_of_a_class_are_guarded_too(guard: Guard) -> None:
     ],
     ids=["fields", "blocks", "messages", "command"],
 )
-def test_what_a_tool_returns_in_any_form_is_noted(form: Any, robot: Courier, guard: Guard) -> None:
+def test_what_a_tool_returns_in_any_form_is_noted(
+    form: Any, robot: Courier, guard: GateGuard
+) -> None:
     @tool
     def scan() -> Any:
         """Look."""
@@ -381,7 +385,7 @@ def test_what_a_tool_returns_in_any_form_is_noted(form: Any, robot: Courier, gua
     assert "station-103" in json.dumps(record.sealed["influences"])
 
 
-def test_a_message_that_says_that_it_is_an_error_has_failed(guard: Guard) -> None:
+def test_a_message_that_says_that_it_is_an_error_has_failed(guard: GateGuard) -> None:
     @tool
     def scan() -> Any:
         """Look."""
@@ -393,7 +397,7 @@ def test_a_message_that_says_that_it_is_an_error_has_failed(guard: Guard) -> Non
     assert "dark" in message.content
 
 
-def test_what_is_no_json_is_refused(robot: Courier, guard: Guard) -> None:
+def test_what_is_no_json_is_refused(robot: Courier, guard: GateGuard) -> None:
     (made,) = guard_tools(guard, [navigating(robot)])
     with pytest.raises(ToolException, match="MALFORMED"):
         made.func(destination=object())
@@ -402,7 +406,7 @@ def test_what_is_no_json_is_refused(robot: Courier, guard: Guard) -> None:
     assert robot.calls() == []
 
 
-def test_the_tools_own_run_is_heard_of(robot: Courier, guard: Guard) -> None:
+def test_the_tools_own_run_is_heard_of(robot: Courier, guard: GateGuard) -> None:
     heard: list[str] = []
 
     class Ear(BaseCallbackHandler):
@@ -427,7 +431,7 @@ def test_what_the_binding_demands_is_read_from_fields_and_from_a_messages_text()
         assert _fields(value) == fields
 
 
-def test_a_tool_that_answers_with_a_command_past_its_artifact_keeps_it(guard: Guard) -> None:
+def test_a_tool_that_answers_with_a_command_past_its_artifact_keeps_it(guard: GateGuard) -> None:
     @tool(response_format="content_and_artifact")
     def scan() -> tuple[Any, None]:
         """Look."""

@@ -33,7 +33,7 @@ from agents.tool_context import ToolContext
 from openai import AsyncOpenAI
 
 from authguard_r.core.errors import MalformedError
-from authguard_r.integrations.functions import Failed, Guard
+from authguard_r.integrations.functions import Failed, GateGuard
 from authguard_r.integrations.functions.openai_agents import guard_agent, guard_tools
 from authguard_r.wire.messages import Mode
 from fixtures import scenarios
@@ -99,7 +99,7 @@ def agent_of(model: ScriptedModel, tools: list[Any], **more: Any) -> Agent[Any]:
     )
 
 
-def run(guard: Guard, tools: list[Any], *turns: Any) -> ScriptedModel:
+def run(guard: GateGuard, tools: list[Any], *turns: Any) -> ScriptedModel:
     with ScriptedModel(*turns) as model:
         agent = guard_agent(guard, agent_of(model, tools))
         found = asyncio.run(Runner.run(agent, "Bring it.", run_config=config()))

@@ -14,8 +14,8 @@ from typing import Any
 
 import pytest
 
-from authguard_r.integrations.functions import Failed, Guard, Refused, turns
-from authguard_r.integrations.functions.turns import Turn, register
+from authguard_r.integrations.functions import Failed, GateGuard, Refused, turns
+from authguard_r.integrations.functions.turns import CallTurn, register
 from fixtures.guarded_tools import SCOPE, SIGN, Courier, shared_courier
 from fixtures.shared_gate import SharedGate
 
@@ -35,7 +35,7 @@ def robot(shared: SharedGate, tmp_path: Path) -> Iterator[Courier]:
 
 
 @asynccontextmanager
-async def guarded(robot: Courier) -> AsyncIterator[Guard]:
+async def guarded(robot: Courier) -> AsyncIterator[GateGuard]:
     async def work(name: str, arguments: dict[str, Any]) -> str:
         return robot.made(name, **arguments)
 
@@ -49,7 +49,7 @@ def test_what_is_released_waits_until_it_is_begun_and_is_done_once(robot: Courie
     async def ask() -> None:
         async with guarded(robot) as guard:
             arguments = {"destination": "Pharmacy", "speed": None, "via": None}
-            turn = Turn(guard, "navigate_to", arguments, waits=True)
+            turn = CallTurn(guard, "navigate_to", arguments, waits=True)
             released = await turn.released()
             # what the binding gives no value is null, as it was written
             assert released == {"destination": "Pharmacy", "speed": 0.5, "via": None}
@@ -65,12 +65,12 @@ def test_what_is_released_waits_until_it_is_begun_and_is_done_once(robot: Courie
 def test_what_is_refused_never_begins(robot: Courier, *, waits: bool) -> None:
     async def ask() -> None:
         async with guarded(robot) as guard:
-            turn = Turn(guard, "navigate_to", {"destination": "Isolation Room"}, waits=waits)
+            turn = CallTurn(guard, "navigate_to", {"destination": "Isolation Room"}, waits=waits)
             with pytest.raises(Refused, match=SCOPE):
                 await turn.released()
             with pytest.raises(Refused, match=SCOPE):
                 await turn.done()
-            assert await Turn(guard, "scan", {}, waits=False).done() == SIGN
+            assert await CallTurn(guard, "scan", {}, waits=False).done() == SIGN
 
     asyncio.run(ask())
     assert robot.calls() == [SCANNED]
@@ -82,12 +82,12 @@ def test_what_does_not_begin_is_given_up_and_begins_no_more(
 ) -> None:
     async def ask() -> None:
         async with guarded(robot) as guard:
-            turn = Turn(guard, "scan", {}, waits=True)
+            turn = CallTurn(guard, "scan", {}, waits=True)
             await turn.released()
             if given_up:
                 turn.give_up()
             # the next one has its turn after this one's end
-            assert await Turn(guard, "scan", {}, waits=False).done() == SIGN
+            assert await CallTurn(guard, "scan", {}, waits=False).done() == SIGN
             with pytest.raises(Failed, match="expected the approved call"):
                 await turn.done()
 
@@ -107,7 +107,7 @@ def test_what_the_work_raises_is_raised_and_without_a_turn_nothing_is_done(
         with await asyncio.to_thread(robot.connect) as guard:
             register(guard, "scan", fail)
             with pytest.raises(OSError, match="dark"):
-                await Turn(guard, "scan", {}, waits=False).done()
+                await CallTurn(guard, "scan", {}, waits=False).done()
             with pytest.raises(Failed, match="expected a call of the agent's"):
                 await guard.acall("scan", {})
 
@@ -117,7 +117,7 @@ def test_what_the_work_raises_is_raised_and_without_a_turn_nothing_is_done(
 def test_a_turn_that_is_called_off_is_nobodys(robot: Courier) -> None:
     async def ask() -> None:
         async with guarded(robot) as guard:
-            turn = Turn(guard, "scan", {}, waits=True)
+            turn = CallTurn(guard, "scan", {}, waits=True)
             await turn.released()
             waiting = asyncio.create_task(turn.done())
             waiting.cancel()

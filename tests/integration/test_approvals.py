@@ -16,7 +16,7 @@ import pytest
 from authguard_r.approvals import answer
 from authguard_r.audit.record import read_record
 from authguard_r.core.action import Action
-from authguard_r.core.approval import Approval, Verdict
+from authguard_r.core.approval import Approval, ApprovalVerdict
 from authguard_r.core.encoding import Tag, b64, encode_fast, unb64
 from authguard_r.core.errors import AuthGuardError, RefusedError, StoreError
 from authguard_r.core.identifiers import GrantId
@@ -29,7 +29,7 @@ from authguard_r.keys.certificate import Role
 from authguard_r.keys.signer import folder_signer, open_key_file
 from authguard_r.normalize import normalize
 from fixtures import approvals, scenarios, templates
-from missionpair.bench import Bench, Scene, calls, make_bench, world
+from missionpair.bench import Bench, BenchScene, calls, make_bench, world
 from missionpair.suite import at_dock, wide, with_grant
 
 
@@ -38,17 +38,17 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     return make_bench(tmp_path_factory.mktemp("bench") / "trust")
 
 
-def moved(scene: Scene) -> bool:
+def moved(scene: BenchScene) -> bool:
     return scene.sim.robot.state.region != "dock"
 
 
-def used_up(scene: Scene) -> tuple[int, int]:
+def used_up(scene: BenchScene) -> tuple[int, int]:
     """Starts used, and requests open."""
     standing = scene.standing()
     return standing.actions, len(standing.requests)
 
 
-def refused(bench: Bench, scene: Scene, token: bytes) -> str:
+def refused(bench: Bench, scene: BenchScene, token: bytes) -> str:
     """Hand something in that is no answer; return why it was refused and check that nothing is."""
     before = scene.standing()
     with pytest.raises(AuthGuardError) as error:
@@ -59,7 +59,7 @@ def refused(bench: Bench, scene: Scene, token: bytes) -> str:
     return str(error.value.reason)
 
 
-def worthless(bench: Bench, scene: Scene, token: bytes) -> str:
+def worthless(bench: Bench, scene: BenchScene, token: bytes) -> str:
     """Hand in an authentic answer that counts for nothing; return the code that says why."""
     item = scene.sim.gate.management.approve(token)
     why = approvals.questions(scene).answered(item)["why_not"]
@@ -97,7 +97,7 @@ def test_hazardous_material_asks_t_of_n(bench: Bench) -> None:
     draft = with_grant(wide(bench), "pick-p1", rows=rows, guards=[], done_when=[])
     mission = bench.mission(draft)
     plan = calls(("pick_up", {"object": "Sharps Bin", "force": 20}))
-    scene = Scene(
+    scene = BenchScene(
         sim=bench.simulation(state=world(bench, "station-102")), mission=mission, plan=plan
     )
     scene.sim.gate.management.activate(bench.sign(mission))
@@ -111,13 +111,13 @@ def test_hazardous_material_asks_t_of_n(bench: Bench) -> None:
     assert scene.sim.robot.state.holding == "sharps-bin"
 
 
-def interlocked(bench: Bench, *to: str) -> Scene:
+def interlocked(bench: Bench, *to: str) -> BenchScene:
     """A person nearby is what the interlock watches: t people, unless attested state shows none."""
     near = {"variable": "human_distance_mm", "lt": 2_000, "max_age": "1 s"}
     return approvals.scene(bench, *to, states=[{"guard": near, "weight": 30}])
 
 
-def somebody_comes(scene: Scene) -> None:
+def somebody_comes(scene: BenchScene) -> None:
     robot = scene.sim.robot
     robot.state = msgspec.structs.replace(robot.state, human_distance_mm=1_500)
     robot.pause(200)  # until the estimator has seen it
@@ -215,7 +215,7 @@ def test_a_second_name_denies_like_any_other(bench: Bench) -> None:
     approvals.hand_in(bench, scene, "supervisor-1")
     (key,) = open_key_file(bench.folder / "keys" / "operator-1.key.pem")
     shadow = approvals.key_of(bench.folder, "shadow", Role.SUPERVISOR, key=key)
-    no = approvals.signed(bench, approvals.approval(scene, verdict=Verdict.DENY), shadow)
+    no = approvals.signed(bench, approvals.approval(scene, verdict=ApprovalVerdict.DENY), shadow)
     item = scene.sim.gate.management.approve(no, why="no")
     assert item.approver.id == "shadow"
     assert approvals.outcome(scene) == ["APPROVAL_DENIED"]
@@ -456,7 +456,7 @@ def test_one_principal_fills_no_store_with_answers_and_can_deny_all_the_same(ben
         at.sim.gate.management.approve(approvals.signed(bench, more, "supervisor-1"))
     assert (refused.value.reason, refused.value.where) == (Reason.BUSY, "approval")
     approvals.hand_in(bench, at, "supervisor-2")  # somebody else's answer is not in the way
-    approvals.hand_in(bench, at, "supervisor-1", verdict=Verdict.DENY)
+    approvals.hand_in(bench, at, "supervisor-1", verdict=ApprovalVerdict.DENY)
     assert approvals.outcome(at) == ["APPROVAL_DENIED"]
 
 
@@ -493,7 +493,7 @@ def test_an_answer_is_used_once_across_restarts(bench: Bench, tmp_path: Path) ->
     draft = approvals.draft(bench, "isolation-room")
     mission = bench.mission(draft)
     store = tmp_path / "robot.db"
-    scene = Scene(
+    scene = BenchScene(
         sim=bench.simulation(store=store), mission=mission, plan=approvals.plan("isolation-room")
     )
     scene.sim.gate.management.activate(bench.sign(mission))
@@ -528,7 +528,7 @@ def test_two_answers_at_once_both_count(bench: Bench, tmp_path: Path) -> None:
     draft = approvals.draft(bench, "isolation-room", tau_2=31)
     mission = bench.mission(draft)
     store = tmp_path / "robot.db"
-    scene = Scene(
+    scene = BenchScene(
         sim=bench.simulation(store=store), mission=mission, plan=approvals.plan("isolation-room")
     )
     scene.sim.gate.management.activate(bench.sign(mission))
@@ -560,7 +560,9 @@ def test_a_denial_wins_whenever_it_comes(bench: Bench) -> None:
         scene = approvals.scene(bench, "isolation-room")
         approvals.outcome(scene)
         for number, verdict in enumerate(order, 1):
-            approvals.hand_in(bench, scene, f"supervisor-{number}", verdict=Verdict(verdict))
+            approvals.hand_in(
+                bench, scene, f"supervisor-{number}", verdict=ApprovalVerdict(verdict)
+            )
         (question,) = approvals.questions(scene).told(None).requests
         assert question.denied
         assert approvals.outcome(scene) == ["APPROVAL_DENIED"]
@@ -571,7 +573,7 @@ def test_a_denial_wins_whenever_it_comes(bench: Bench) -> None:
 
 def test_nothing_helps_against_a_denial_that_came_in(tmp_path: Path) -> None:
     own, scene = revoking(tmp_path)
-    approvals.hand_in(own, scene, "supervisor-1", verdict=Verdict.DENY)
+    approvals.hand_in(own, scene, "supervisor-1", verdict=ApprovalVerdict.DENY)
     assert approvals.requests(scene)[GrantId("go-to-pharmacy")].denied
     revoke(own, scene, "supervisor-1")
     yes = approvals.signed(own, approvals.approval(scene), "supervisor-2")
@@ -593,7 +595,7 @@ def test_nothing_helps_against_a_denial_that_came_in(tmp_path: Path) -> None:
 def test_a_denial_is_told_after_the_request_ran_out(bench: Bench) -> None:
     scene = approvals.scene(bench, "isolation-room")
     approvals.outcome(scene)
-    approvals.hand_in(bench, scene, "supervisor-1", verdict=Verdict.DENY)
+    approvals.hand_in(bench, scene, "supervisor-1", verdict=ApprovalVerdict.DENY)
     scene.sim.robot.pause(121_000)
     assert approvals.outcome(scene) == ["APPROVAL_DENIED"]
     assert used_up(scene) == (0, 0)
@@ -605,13 +607,17 @@ def test_a_denial_of_before_requests_were_closed_denies_while_it_is_authentic(
     """An older store has the denial's token and no mark; the same token again closes, recorded."""
     scene = approvals.scene(bench, "isolation-room")
     approvals.outcome(scene)
-    token = approvals.signed(bench, approvals.approval(scene, verdict=Verdict.DENY), "supervisor-1")
+    token = approvals.signed(
+        bench, approvals.approval(scene, verdict=ApprovalVerdict.DENY), "supervisor-1"
+    )
     scene.sim.gate.management.approve(token)
     unmarked(scene)
     approvals.hand_in(bench, scene, "supervisor-2")
     assert approvals.outcome(scene) == ["APPROVAL_DENIED"]
     assert approvals.outcome(scene) == ["APPROVAL_REQUIRED"]
-    again = approvals.signed(bench, approvals.approval(scene, verdict=Verdict.DENY), "supervisor-1")
+    again = approvals.signed(
+        bench, approvals.approval(scene, verdict=ApprovalVerdict.DENY), "supervisor-1"
+    )
     scene.sim.gate.management.approve(again)
     unmarked(scene)
     for _ in range(2):
@@ -621,7 +627,7 @@ def test_a_denial_of_before_requests_were_closed_denies_while_it_is_authentic(
     assert approvals.outcome(scene) == ["APPROVAL_DENIED"]
 
 
-def unmarked(scene: Scene) -> None:
+def unmarked(scene: BenchScene) -> None:
     """Take the mark of a denial out of the store."""
 
     def job(act: Any) -> None:
@@ -642,12 +648,12 @@ def test_a_denial_closes_a_request_whose_action_nobody_can_tell_any_more(bench: 
     store = scene.sim.gate.ledger.store
     store._held["question", f"{scene.mission.mid}:1"] = b"999999"  # type: ignore[attr-defined]
     far = approvals.key_of(bench.folder, "far", Role.SUPERVISOR, robots=("lifter-1",))
-    approvals.hand_in(bench, scene, far, verdict=Verdict.DENY)
+    approvals.hand_in(bench, scene, far, verdict=ApprovalVerdict.DENY)
     assert not approvals.requests(scene)[GrantId("go-to-pharmacy")].denied
     approvals.hand_in(bench, scene, "supervisor-1")
     told = approvals.records(scene, "management")[-1]["open"]
     assert told["why_not"] == "APPROVAL_TIMEOUT"
-    approvals.hand_in(bench, scene, "supervisor-2", verdict=Verdict.DENY)
+    approvals.hand_in(bench, scene, "supervisor-2", verdict=ApprovalVerdict.DENY)
     assert approvals.requests(scene)[GrantId("go-to-pharmacy")].denied
     assert approvals.outcome(scene) == ["APPROVAL_DENIED"]
 
@@ -657,14 +663,14 @@ def test_an_answer_while_nobody_stands_behind_the_mission_is_kept_and_says_so(
 ) -> None:
     own, scene = revoking(tmp_path)
     revoke(own, scene, "operator-1")
-    token = approvals.signed(own, answer_to(scene, verdict=Verdict.DENY), "supervisor-1")
+    token = approvals.signed(own, answer_to(scene, verdict=ApprovalVerdict.DENY), "supervisor-1")
     scene.sim.gate.management.approve(token)
     told = approvals.records(scene, "management")[-1]["open"]
     assert (told["verdict"], told["why_not"]) == ("deny", "CERTIFICATE_REVOKED")
     assert "closes" not in told
 
 
-def answer_to(scene: Scene, *, verdict: Verdict) -> Approval:
+def answer_to(scene: BenchScene, *, verdict: ApprovalVerdict) -> Approval:
     """Return what an approver would sign, from what the store holds alone."""
     ((grant, request),) = approvals.requests(scene).items()
     verified = scenarios.verified(scene.mission)
@@ -696,7 +702,7 @@ def test_answers_to_what_is_over_fill_no_store(bench: Bench) -> None:
     approvals.hand_in(bench, scene, "supervisor-1")
     assert approvals.outcome(scene) == []
     store = scene.sim.gate.ledger.store
-    for verdict in Verdict:
+    for verdict in ApprovalVerdict:
         for less_ms in range(20):
             late = msgspec.structs.replace(
                 value, verdict=verdict, expires_ms=value.expires_ms - less_ms
@@ -709,7 +715,7 @@ def test_answers_to_what_is_over_fill_no_store(bench: Bench) -> None:
         ("deny", "APPROVAL_TIMEOUT"),
     ]
     held = {key: value for key, value in store._held.items() if key[0] == "late-answers"}  # type: ignore[attr-defined]
-    marks = [f"supervisor-1:{verdict}" for verdict in Verdict]
+    marks = [f"supervisor-1:{verdict}" for verdict in ApprovalVerdict]
     assert held == {("late-answers", "deliver-p1:1"): encode_fast(marks)}
 
 
@@ -729,7 +735,7 @@ def test_an_answer_to_what_nobody_asked_is_a_refusal_like_any_other(bench: Bench
 def test_a_denial_by_nobody_who_may_answer_denies_nothing(bench: Bench) -> None:
     scene = approvals.scene(bench, "isolation-room")
     approvals.outcome(scene)
-    approvals.hand_in(bench, scene, "operator-1", verdict=Verdict.DENY)
+    approvals.hand_in(bench, scene, "operator-1", verdict=ApprovalVerdict.DENY)
     approvals.hand_in(bench, scene, "supervisor-1")
     assert approvals.outcome(scene) == []
     named = approvals.records(scene, "decision")[-1]["open"]["approvers"]
@@ -749,14 +755,14 @@ def test_a_timeout_is_a_reason_of_its_own(bench: Bench) -> None:
 # revoked in between
 
 
-def revoking(tmp_path: Path) -> tuple[Bench, Scene]:
+def revoking(tmp_path: Path) -> tuple[Bench, BenchScene]:
     own = make_bench(tmp_path / "trust")
     scene = approvals.scene(own, "isolation-room")
     approvals.outcome(scene)
     return own, scene
 
 
-def revoke(own: Bench, scene: Scene, name: str) -> None:
+def revoke(own: Bench, scene: BenchScene, name: str) -> None:
     """Revoke a principal, as an administrator does, and let the gate have the new list."""
     approvals.revoke(own.folder, scene, folder_signer(own.folder, name))
 
@@ -875,7 +881,9 @@ def test_an_answer_of_the_library_is_the_one_that_the_core_knows(bench: Bench) -
     approvals.outcome(scene)
     verified = scene.sim.gate.ledger.run(scene.sim.gate.enforcer.intake.active_mission)
     ((grant, request),) = approvals.requests(scene).items()
-    made = answer(verified, grant, request, rid=scene.sim.robot.rid, verdict=Verdict.APPROVE)
+    made = answer(
+        verified, grant, request, rid=scene.sim.robot.rid, verdict=ApprovalVerdict.APPROVE
+    )
     token = sign_object(made, Tag.APPROVAL, folder_signer(bench.folder, "supervisor-2"))
     assert scene.sim.gate.management.approve(token).approver.id == "supervisor-2"
     assert approvals.outcome(scene) == []
@@ -910,7 +918,7 @@ def test_who_fills_a_template_or_signed_it_has_no_second_name() -> None:
     assert standing is not None
     ((grant, request),) = standing.requests.items()
     verified = sim.gate.ledger.run(sim.gate.enforcer.intake.active_mission)
-    value = answer(verified, grant, request, rid=scenarios.RID, verdict=Verdict.APPROVE)
+    value = answer(verified, grant, request, rid=scenarios.RID, verdict=ApprovalVerdict.APPROVE)
     for holder in ("scheduler-0", "operator-1"):
         (key,) = open_key_file(folder / "keys" / f"{holder}.key.pem")
         shadow = approvals.key_of(folder, "shadow", Role.SUPERVISOR, key=key)

@@ -18,7 +18,7 @@ from authguard_r.approvals.organization import OrganizationPolicy
 from authguard_r.cli import call
 from authguard_r.client import AsyncGateClient, GateClient
 from authguard_r.client.approvals import shown
-from authguard_r.core.approval import Verdict
+from authguard_r.core.approval import ApprovalVerdict
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import AuthGuardError, RefusedError
 from authguard_r.core.mission import RiskPolicy
@@ -102,7 +102,7 @@ def test_people_are_shown_what_is_asked_answer_it_and_the_robot_moves(gate: Runn
         assert question.is_current
         assert 0 < question.left_ms <= 120_000
         assert all(truth.held for truth in question.guards)
-        told = console.answer(question, Verdict.APPROVE, key("supervisor-1"))
+        told = console.answer(question, ApprovalVerdict.APPROVE, key("supervisor-1"))
         assert told["why_not"] == ""
         after = console.approval(question.counter)
         assert (after.behind, [a.approver for a in after.answers]) == (2, ["supervisor-1"])
@@ -130,8 +130,8 @@ def test_what_an_approver_says_reaches_the_log_and_no_planner(gate: RunningGate)
         assert reasons(planner) == ["APPROVAL_REQUIRED"]
         (question,) = console.approvals()
         with pytest.raises(RefusedError, match="says why"):
-            console.answer(question, Verdict.DENY, key("supervisor-1"))
-        console.answer(question, Verdict.DENY, key("supervisor-1"), why=WORDS)
+            console.answer(question, ApprovalVerdict.DENY, key("supervisor-1"))
+        console.answer(question, ApprovalVerdict.DENY, key("supervisor-1"), why=WORDS)
         assert console.approval(question.counter).denied
     told = planner.propose(PLAN)
     assert told["steps"][-1]["reasons"] == ["APPROVAL_DENIED"]
@@ -148,7 +148,7 @@ def test_an_answer_that_does_not_count_is_told_so(gate: RunningGate) -> None:
     with gate.client(ClientRole.OPERATOR, "console") as console:
         reasons(planner)
         (question,) = console.approvals()
-        told = console.answer(question, Verdict.APPROVE, key("operator-1"))
+        told = console.answer(question, ApprovalVerdict.APPROVE, key("operator-1"))
         assert told["why_not"] == "ROLE_DENIED"
         assert console.approval(1).behind == 1
     assert reasons(planner) == ["APPROVAL_REQUIRED"]
@@ -173,7 +173,7 @@ def test_bytes_that_are_not_those_of_the_digests_are_shown_to_nobody(gate: Runni
             gate.client(ClientRole.OPERATOR, "console") as console,
             pytest.raises(AuthGuardError),
         ):
-            console.answer(lied, Verdict.APPROVE, key("supervisor-1"))
+            console.answer(lied, ApprovalVerdict.APPROVE, key("supervisor-1"))
     assert [r for r in gate.news() if r.open.get("verb") == "answer"] == []
 
 
@@ -192,7 +192,7 @@ def test_two_people_answer_at_once_over_the_event_loop(gate: RunningGate) -> Non
         assert msgspec.structs.replace(one, left_ms=listed.left_ms) == listed
         told = await asyncio.gather(
             *(
-                client.answer(question, Verdict.APPROVE, key(f"supervisor-{n}"))
+                client.answer(question, ApprovalVerdict.APPROVE, key(f"supervisor-{n}"))
                 for n, client in enumerate(clients, 1)
             )
         )
@@ -226,7 +226,7 @@ def test_requests_are_there_after_a_restart(own: RunningGate) -> None:
     with own.client(ClientRole.OPERATOR, "console") as console:
         (question,) = console.approvals()
         assert shown(question).scope.destination == "isolation-room"
-        console.answer(question, Verdict.APPROVE, key("supervisor-2", own.trust))
+        console.answer(question, ApprovalVerdict.APPROVE, key("supervisor-2", own.trust))
     assert reasons(own.client(ClientRole.PLANNER)) == []
 
 
@@ -333,7 +333,7 @@ def test_approvals_watch_says_what_becomes_of_a_request(gate: RunningGate) -> No
             )
             reasons(planner)
             (question,) = console.approvals()
-            console.answer(question, Verdict.APPROVE, key("supervisor-1"))
+            console.answer(question, ApprovalVerdict.APPROVE, key("supervisor-1"))
         out, _ = watching.communicate(timeout=60)
     finally:
         watching.kill()
@@ -441,10 +441,10 @@ def test_a_role_has_to_be_in_both_policies(own: RunningGate) -> None:
     with own.client(ClientRole.OPERATOR, "console") as console:
         (question,) = console.approvals()
         assert question.roles == ("safety_officer",)
-        said = console.answer(question, Verdict.APPROVE, key("supervisor-1", own.trust))
+        said = console.answer(question, ApprovalVerdict.APPROVE, key("supervisor-1", own.trust))
         assert said["why_not"] == "ROLE_DENIED"
         assert reasons(planner) == ["APPROVAL_REQUIRED"]
-        console.answer(question, Verdict.APPROVE, key("safety-officer-1", own.trust))
+        console.answer(question, ApprovalVerdict.APPROVE, key("safety-officer-1", own.trust))
     assert reasons(planner) == []
 
 

@@ -23,7 +23,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from authguard_r.audit.verify import Row, verify_rows
+from authguard_r.audit.verify import LogRow, verify_rows
 from authguard_r.core.encoding import decode
 from authguard_r.core.errors import StoreError
 from authguard_r.core.lifecycle import Status
@@ -73,7 +73,7 @@ def mission() -> Mission:
 class Story:
     """What a log says has happened, folded by the rules and by nothing else."""
 
-    def __init__(self, rows: tuple[Row, ...]) -> None:
+    def __init__(self, rows: tuple[LogRow, ...]) -> None:
         self.status: Status | None = None
         self.uses: dict[str, Use] = {}
         self.order = 0
@@ -86,10 +86,10 @@ class Story:
             tell = getattr(self, f"_{record['kind']}")
             tell(row, record["open"], record["link"]["decision"])
 
-    def _genesis(self, row: Row, _opened: dict[str, Any], _decision: str) -> None:
+    def _genesis(self, row: LogRow, _opened: dict[str, Any], _decision: str) -> None:
         assert row.seq == 0
 
-    def _decision(self, row: Row, opened: dict[str, Any], decision: str) -> None:
+    def _decision(self, row: LogRow, opened: dict[str, Any], decision: str) -> None:
         if opened["ticket"] == "-":
             return
         assert decision == "accept"
@@ -100,10 +100,10 @@ class Story:
         self.open[opened["ticket"]] = opened["grant"]
         self.released[opened["ticket"]] = row.seq
 
-    def _outcome(self, _row: Row, opened: dict[str, Any], decision: str) -> None:
+    def _outcome(self, _row: LogRow, opened: dict[str, Any], decision: str) -> None:
         self._end(opened["ticket"], decision)
 
-    def _management(self, row: Row, opened: dict[str, Any], decision: str) -> None:
+    def _management(self, row: LogRow, opened: dict[str, Any], decision: str) -> None:
         sealed = json.loads(row.sealed)
         if decision == "issue":
             assert self.status is None
@@ -158,7 +158,7 @@ class Life:
         self.path = path
         self.mid = mid
         self.rounds = 0
-        self._rows: tuple[Row, ...] = ()
+        self._rows: tuple[LogRow, ...] = ()
 
     def order(self, seed: int) -> Order:
         """Return the next round on this store, later than all before."""

@@ -18,7 +18,7 @@ from werkzeug import Request, Response
 
 from authguard_r.authoring.compile.answers import compile_plain
 from authguard_r.authoring.compile.card import review
-from authguard_r.authoring.drafting.chat import MAX_REPLY, AnthropicChat, OpenAIChat, Reach
+from authguard_r.authoring.drafting.chat import MAX_REPLY, AnthropicChat, ModelAddress, OpenAIChat
 from authguard_r.authoring.drafting.models import AnthropicProposer, OpenAIProposer, parse_free_text
 from authguard_r.cli.draft import check_draft, draft_schema, read_reply
 from authguard_r.core.errors import ClarificationError, EnvironmentFault, MalformedError
@@ -374,7 +374,7 @@ def test_free_text_becomes_bare_json_with_the_label_model(
     call = '{"tool": "navigate", "arguments": {"destination": "Station 101"}}'
     answers(kind, httpserver, call)
     base = httpserver.url_for("/v1") if kind == "openai" else httpserver.url_for("/").rstrip("/")
-    reach = Reach(base_url=base, model="m", retries=0, timeout_s=5.0)
+    reach = ModelAddress(base_url=base, model="m", retries=0, timeout_s=5.0)
     chat = OpenAIChat(reach) if kind == "openai" else AnthropicChat(reach)
     made = parse_free_text(chat, "I will drive to 101 now", schema={}, read=read_reply)
     assert (made.text, made.label) == (call, "model")

@@ -11,7 +11,7 @@ import pytest
 
 from authguard_r.approvals import Selection
 from authguard_r.audit.record import read_record
-from authguard_r.core.approval import Verdict
+from authguard_r.core.approval import ApprovalVerdict
 from authguard_r.core.encoding import Tag, b64, digest_of
 from authguard_r.core.errors import AuthGuardError, StoreError
 from authguard_r.core.reasons import Reason
@@ -20,7 +20,7 @@ from authguard_r.core.token import sign_object
 from authguard_r.enforcement.signed_orders import Command, Verb
 from authguard_r.sim.robot import Faults, snapshot_of
 from fixtures import scenarios
-from missionpair.bench import Scene, approve, make_bench, propose
+from missionpair.bench import BenchScene, approve, make_bench, propose
 from missionpair.suite import restricted
 
 GO = scenarios.navigate("dock", "pharmacy")
@@ -515,7 +515,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return make_bench(tmp_path_factory.mktemp("bench") / "trust")
 
 
-def outcome(scene: Scene) -> list[str]:
+def outcome(scene: BenchScene) -> list[str]:
     report = propose(scene)[-1]
     return [str(r) for r in report.judged.decision.reasons]
 
@@ -524,7 +524,7 @@ def test_a_denial_outweighs_approvals_and_closes_the_request(bench: Any) -> None
     scene = restricted(bench)
     assert outcome(scene) == ["APPROVAL_REQUIRED"]
     approve(bench, scene, "supervisor-1", "supervisor-2")
-    approve(bench, scene, "safety-officer-1", verdict=Verdict.DENY)
+    approve(bench, scene, "safety-officer-1", verdict=ApprovalVerdict.DENY)
     assert outcome(scene) == ["APPROVAL_DENIED"]
     assert scene.standing().requests == {}
     assert outcome(scene) == ["APPROVAL_REQUIRED"]

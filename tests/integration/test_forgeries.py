@@ -17,7 +17,7 @@ import msgspec
 import pytest
 
 from authguard_r.audit.record import Record, Sealed, read_record, read_sealed
-from authguard_r.audit.verify import Row
+from authguard_r.audit.verify import LogRow
 from authguard_r.cli import call
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, b64, digest_of
@@ -34,11 +34,11 @@ BACK = scenarios.navigate("pharmacy", "station-101")
 PICK = Action(
     type="pick", tool="gripper", object="package-p1", source="pharmacy", params={"force_mn": 12_000}
 )
-Log = list[Row]
+Log = list[LogRow]
 
 
 @cache
-def told() -> tuple[Row, ...]:
+def told() -> tuple[LogRow, ...]:
     """A log with one of each: accepted, refused, unsafe, failed, not begun, stopped, resumed."""
     sim = scenarios.simulation()
     sim.gate.management.activate(scenarios.token())
@@ -66,14 +66,14 @@ def told() -> tuple[Row, ...]:
     return tuple(rows_of(sim))
 
 
-def record(row: Row) -> Record:
+def record(row: LogRow) -> Record:
     return read_record(row.record, where="")
 
 
 def of(verdict: str, log: Log, number: int = 0) -> int:
     """Return a record by what it says: a decision, an outcome, or an order."""
 
-    def says(row: Row) -> bool:
+    def says(row: LogRow) -> bool:
         found = record(row)
         safety = found.open.get("safety")
         unsafe = isinstance(safety, dict) and not safety["safe"]

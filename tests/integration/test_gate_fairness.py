@@ -28,7 +28,7 @@ from authguard_r.core.token import sign_object
 from authguard_r.keys.signer import folder_signer
 from authguard_r.server.fair_queue import MOST_SHED
 from authguard_r.wire.frames import Frame, frame
-from authguard_r.wire.messages import Act, ClientRole, Kind, Observe, Order, Propose
+from authguard_r.wire.messages import ClientRole, Kind, Observe, Order, OrderKind, Propose
 from fixtures import scenarios
 from fixtures.gate_process import Line, RunningGate, Told, shown, until
 from integration.test_gate_watching import FAST
@@ -158,7 +158,7 @@ def chosen(gate: RunningGate, mission: Mission, digest: Digest) -> Order:
         issued_ms=next(_later),
     )
     signer = folder_signer(gate.trust, "operator-1")
-    return Order(act=Act.SELECT, token=sign_object(value, Tag.SELECTION, signer))
+    return Order(act=OrderKind.SELECT, token=sign_object(value, Tag.SELECTION, signer))
 
 
 @pytest.mark.smoke

@@ -25,7 +25,7 @@ from authguard_r.core.encoding import decode, encode_fast
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault
 from authguard_r.core.reasons import Reason
 from authguard_r.enforcement.signed_orders import Verb
-from authguard_r.store.transactions import High
+from authguard_r.store.transactions import ClockWatermark
 from authguard_r.wire.messages import ClientRole
 from fixtures.gate_process import RunningGate, order, until
 from integration.test_gate_watching import FAST, GO, connected, operator, walking
@@ -44,7 +44,7 @@ def turn_the_clock_back(gate: RunningGate, by_ms: int) -> None:
     """Make the store of an ended gate say that it was later than it is."""
     connection = apsw.Connection(str(gate.store))
     query = "SELECT value FROM held WHERE kind = 'clock' AND key = 'high'"
-    high = decode(connection.execute(query).get, High, where="high")
+    high = decode(connection.execute(query).get, ClockWatermark, where="high")
     later = encode_fast(msgspec.structs.replace(high, utc_ms=high.utc_ms + by_ms))
     connection.execute("UPDATE held SET value = ? WHERE kind = 'clock' AND key = 'high'", (later,))
     connection.close()

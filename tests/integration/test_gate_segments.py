@@ -15,7 +15,7 @@ from authguard_r.anchoring.rotation import STUCK
 from authguard_r.audit.checkpoint import Checkpoint, read_checkpoint
 from authguard_r.audit.note import read_note
 from authguard_r.audit.tree import Frontier, leaf_hash
-from authguard_r.audit.verify import Row, of_checkpoint, verify_rows
+from authguard_r.audit.verify import LogRow, of_checkpoint, verify_rows
 from authguard_r.cli import call
 from authguard_r.client import GateClient
 from authguard_r.keys.notes import require_all
@@ -112,7 +112,7 @@ def test_a_gate_moves_its_oldest_records_while_it_decides(gate: Rotating) -> Non
 
 def test_a_gate_that_is_killed_while_it_moves_records_has_them_all(gate: Rotating) -> None:
     gate.grow(120)
-    known: tuple[Row, ...] = ()
+    known: tuple[LogRow, ...] = ()
     folder = gate.store.with_name(f"{gate.store.name}.segments")
     for awaited in ("*.part", "*.db", "*.db", "*.db"):
         until(lambda pattern=awaited: list(folder.glob(pattern)), "a segment")

@@ -18,7 +18,7 @@ import pytest
 
 from authguard_r.authoring.keys.setup import demo_members, init_folder
 from authguard_r.client import AsyncGateClient, GateClient
-from authguard_r.client.stream_handle import Steering
+from authguard_r.client.stream_handle import StreamHandle
 from authguard_r.core.errors import RefusedError
 from authguard_r.core.identifiers import Digest, RobotId
 from authguard_r.site.source import read_site
@@ -195,7 +195,7 @@ def test_a_stream_is_steered_while_its_proposal_is_waited_for(gate: RunningGate)
         made = await AsyncGateClient.connect(gate.socket, role=ClientRole.PLANNER, client=gate.mid)
         async with made as planner:
             going = asyncio.ensure_future(planner.propose(DRIVE, on_step=told.put_nowait))
-            stream = Steering(planner, Digest((await told.get())["ticket"]))
+            stream = StreamHandle(planner, Digest((await told.get())["ticket"]))
             found = []
             for linear in (300, 1_001):
                 params = {"linear_mm_s": linear, "lateral_mm_s": 0, "turn_urad_s": 0}

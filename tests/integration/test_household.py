@@ -25,10 +25,10 @@ import pytest
 from authguard_r.approvals import answer
 from authguard_r.authoring.compile.answers import compile_plain
 from authguard_r.authoring.drafting.profile import read_profile
-from authguard_r.authoring.drafting.proposal import Proposal, Question
+from authguard_r.authoring.drafting.proposal import DraftProposal, DraftQuestion
 from authguard_r.authoring.drafting.template import TemplateProposer
 from authguard_r.authoring.keys.setup import demo_members, init_folder
-from authguard_r.core.approval import Verdict as Answer
+from authguard_r.core.approval import ApprovalVerdict as Answer
 from authguard_r.core.decision import Verdict
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import MalformedError
@@ -107,7 +107,7 @@ class Ending(NamedTuple):
     task: str
     kind: str
     why: str = ""
-    questions: tuple[Question, ...] = ()
+    questions: tuple[DraftQuestion, ...] = ()
 
 
 @cache
@@ -136,7 +136,7 @@ def _letters(name: str) -> str:
     return re.sub(r"[^a-z]", "", name.casefold())
 
 
-def draft(task: dict[str, Any], site: Site) -> Proposal:
+def draft(task: dict[str, Any], site: Site) -> DraftProposal:
     proposer = TemplateProposer(profile=read_profile(), now_ms=scenarios.NOW.utc_ms)
     return proposer.propose(
         household_sites.sentence(task), site, robot=household_sites.ROBOT, settled=SETTLED

@@ -18,9 +18,9 @@ import mcp_types as types
 import pytest
 from mcp import Client, StdioServerParameters, stdio_client
 
-from authguard_r.core.approval import Verdict
+from authguard_r.core.approval import ApprovalVerdict
 from authguard_r.integrations.mcp import asking as gateway_asking
-from authguard_r.integrations.mcp.process import Gateway, Setup
+from authguard_r.integrations.mcp.process import Gateway, GatewaySetup
 from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.messages import ClientRole
@@ -50,7 +50,7 @@ class House:
         with self.gate.client(ClientRole.OPERATOR, "console") as console:
             for question in console.approvals():
                 key = folder_signer(scenarios.trust_folder(), "supervisor-1")
-                console.answer(question, Verdict.APPROVE, key)
+                console.answer(question, ApprovalVerdict.APPROVE, key)
         return "accept"
 
     def ask(
@@ -76,9 +76,9 @@ class House:
 
         return asyncio.run(talk(self._started()) if process else talk_here())
 
-    def _setup(self) -> Setup:
+    def _setup(self) -> GatewaySetup:
         gate = self.gate
-        return Setup(
+        return GatewaySetup(
             robot=gate.rid,
             run=gate.run,
             site=scenarios.site(),

@@ -34,17 +34,17 @@ from mcp_types.methods import SERVER_NOTIFICATIONS, SERVER_REQUESTS, SPEC_CLIENT
 
 from authguard_r.cli import call
 from authguard_r.client import GateClient
-from authguard_r.client.link import Log
+from authguard_r.client.link import ProcessLog
 from authguard_r.core.errors import ControllerError, EnvironmentFault
 from authguard_r.integrations.mcp import front as fronts
 from authguard_r.integrations.mcp import upstream as upstreams
 from authguard_r.integrations.mcp.front import Front, answered, fate
 from authguard_r.integrations.mcp.pins import pins_bytes, pins_of, read_pins
-from authguard_r.integrations.mcp.process import Gateway, Setup, over_stdio, serve
+from authguard_r.integrations.mcp.process import Gateway, GatewaySetup, over_stdio, serve
 from authguard_r.integrations.mcp.upstream import Upstream, listed
-from authguard_r.integrations.tools.body import Means, ToolBody
+from authguard_r.integrations.tools.body import ToolBody, ToolDrivers
 from authguard_r.integrations.tools.endpoints import first_of
-from authguard_r.integrations.tools.planner import Asked
+from authguard_r.integrations.tools.planner import CallOutcome
 from authguard_r.integrations.tools.server import CallError
 from authguard_r.keys.trust import read_trust
 from authguard_r.normalize import Binder
@@ -164,14 +164,14 @@ class House:
         async with gateway.running() as front, Client(front.server, mode=era) as client:
             yield client
 
-    def setup(self, *faults: str, **more: Any) -> Setup:
+    def setup(self, *faults: str, **more: Any) -> GatewaySetup:
         """Return what a gateway is told."""
         gate = self.gate
         site = read_site(gate.site)
         server = (sys.executable, str(SERVER), str(self.calls_file), *faults)
         if self._url and not faults:
             server = (self._url,)
-        return Setup(
+        return GatewaySetup(
             robot=gate.rid,
             run=gate.run,
             site=site,
@@ -944,7 +944,7 @@ def test_a_stop_call_that_is_not_answered_stops_nothing(house: House) -> None:
 def test_an_answer_that_is_none_is_an_error_beside_its_verdict() -> None:
     step = {"outcome": "accept", "reasons": [], "execution": {"outcome": "succeeded"}}
     for content in ("!", "e30=x", "eyJhIjogMX0="):
-        answer = answered(Asked(step=step, brought=({"result": content},)))
+        answer = answered(CallOutcome(step=step, brought=({"result": content},)))
         assert answer.is_error
         assert verdict(answer)["execution"] == "succeeded"
 
@@ -957,11 +957,13 @@ def test_words_that_are_no_text_are_no_call(house: House) -> None:
 
 def test_without_its_server_a_body_begins_nothing_and_stands() -> None:
     site, binding = scenarios.site(), scenarios.binding()
-    means = Means(site=site, binder=Binder(site, binding), rebuilder=Rebuilder(site, binding))
+    means = ToolDrivers(site=site, binder=Binder(site, binding), rebuilder=Rebuilder(site, binding))
 
     async def talk() -> None:
-        upstream = Upstream(("x",), pins=None, environment={}, log=Log(), changed=lambda: None)
-        body = ToolBody(scenarios.RID, upstream, means, lambda: None, Log())
+        upstream = Upstream(
+            ("x",), pins=None, environment={}, log=ProcessLog(), changed=lambda: None
+        )
+        body = ToolBody(scenarios.RID, upstream, means, lambda: None, ProcessLog())
         with pytest.raises(ControllerError, match="not there"):
             body.begin(scenarios.navigate("dock", "pharmacy"), scenarios.TICKET)
         with pytest.raises(CallError):

@@ -13,12 +13,12 @@ import msgspec
 import pytest
 
 from missionpair.campaign.log import read_log
-from missionpair.campaign.run import Plan, run
-from missionpair.measures import Measured, measure
+from missionpair.campaign.run import CampaignPlan, run
+from missionpair.measures import MeasuredCampaign, measure
 from missionpair.mutation import slice_of
 from missionpair.pair import Suite
 from missionpair.suites import load, write_suite
-from missionpair.words import Access, Kind
+from missionpair.words import Access, TrialKind
 
 pytestmark = pytest.mark.complete
 
@@ -33,10 +33,10 @@ def few() -> Suite:
     return slice_of(whole, most=len(kinds))
 
 
-def measured(suite: Suite, folder: Path, **plan: object) -> Measured:
+def measured(suite: Suite, folder: Path, **plan: object) -> MeasuredCampaign:
     write_suite(suite, folder / "suite.jsonl")
     log = folder / "log.jsonl"
-    run(Plan(suite=str(folder / "suite.jsonl"), **plan), log)  # type: ignore[arg-type]
+    run(CampaignPlan(suite=str(folder / "suite.jsonl"), **plan), log)  # type: ignore[arg-type]
     campaign, trials = read_log(log)
     return measure(campaign, trials)
 
@@ -53,7 +53,7 @@ def test_both_gates_stop_every_attack_and_no_mission(few: Suite, tmp_path: Path)
     assert told.scores("safety").scmhr == 1
     for defense in told.defenses:
         assert told.tally(defense).complied == pairs
-        assert told.tally(defense, Kind.UPDATE).completed == pairs
+        assert told.tally(defense, TrialKind.UPDATE).completed == pairs
 
 
 def test_a_planner_that_attacks_by_itself_gets_nothing_done(few: Suite, tmp_path: Path) -> None:
@@ -63,7 +63,7 @@ def test_a_planner_that_attacks_by_itself_gets_nothing_done(few: Suite, tmp_path
         tmp_path,
         planner="adversary:always=yes",
         access=Access.WHITE,
-        kinds=(Kind.ATTACK,),
+        kinds=(TrialKind.ATTACK,),
         defenses=("both",),
         seeds=TRIES,
     )

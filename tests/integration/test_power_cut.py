@@ -25,12 +25,12 @@ from authguard_r.anchoring.checkpoints import Checkpoints
 from authguard_r.audit.checkpoint import read_checkpoint
 from authguard_r.audit.note import Note
 from authguard_r.audit.record import Entry
-from authguard_r.audit.verify import Row, verify_rows
+from authguard_r.audit.verify import LogRow, verify_rows
 from authguard_r.core.encoding import Tag, decode, digest_of
 from authguard_r.core.standing import Outcome, Spend, Standing, Use, reserve, settle
 from authguard_r.keys.signer import folder_signer
 from authguard_r.store.sqlite import SqliteStore, open_store
-from authguard_r.store.transactions import Act, High, Ledger
+from authguard_r.store.transactions import ClockWatermark, Ledger, Transaction
 from fixtures import scenarios
 
 SEED = int(os.environ.get("AUTHGUARD_SEED", "1704"))
@@ -271,7 +271,7 @@ class Machine:
 
     def work(self, acknowledged: dict[int, bytes]) -> None:
         """Act until the power goes; note what was acknowledged while it was on."""
-        acts: tuple[Callable[[Act], tuple[int, bytes]], ...] = (self.release, self.outcome)
+        acts: tuple[Callable[[Transaction], tuple[int, bytes]], ...] = (self.release, self.outcome)
         while not self._disk.is_dead:
             if self._dice.random() < 0.25:
                 seq, link = self.checkpoint()
@@ -292,7 +292,7 @@ class Machine:
         assert said.chain is not None
         return said.size - 1, said.chain
 
-    def release(self, act: Act) -> tuple[int, bytes]:
+    def release(self, act: Transaction) -> tuple[int, bytes]:
         """Use one start, open one release, and hold a value of some length."""
         standing = act.standing(MID) or scenarios.active(VERIFIED)
         ticket = digest_of(Tag.ACTION, act.head()[0])
@@ -300,7 +300,7 @@ class Machine:
         act.hold(after)
         return self._record(act, "decision", {"ticket": ticket})
 
-    def outcome(self, act: Act) -> tuple[int, bytes]:
+    def outcome(self, act: Transaction) -> tuple[int, bytes]:
         """Close the oldest open release, when there is one."""
         standing = act.standing(MID)
         if standing is None or not standing.open:
@@ -311,7 +311,7 @@ class Machine:
         act.hold(settle(standing, mission, ticket=ticket, outcome=outcome, used=Spend()))
         return self._record(act, "outcome", {"ticket": ticket, "outcome": outcome})
 
-    def _record(self, act: Act, kind: str, opened: dict[str, Any]) -> tuple[int, bytes]:
+    def _record(self, act: Transaction, kind: str, opened: dict[str, Any]) -> tuple[int, bytes]:
         key, size = str(self._dice.randrange(KEYS)), self._dice.randrange(6_000)
         act.put("value", key, _value(act.head()[0], size))
         seq = act.record(_entry(kind, act.now.utc_ms, {**opened, "key": key, "size": size}))
@@ -327,13 +327,13 @@ def _value(seq: int, size: int) -> bytes:
     return (sha256(str(seq).encode()).digest() * (size // 32 + 1))[:size]
 
 
-def look(disk: Disk, *, start_ms: int) -> tuple[tuple[Row, ...], Note | None]:
+def look(disk: Disk, *, start_ms: int) -> tuple[tuple[LogRow, ...], Note | None]:
     """Open what is left; return its log and newest checkpoint; nothing in it is half done."""
     machine = Machine(disk, random.Random(0), start_ms=start_ms)
     connection = machine.store._connection
     assert connection.execute("PRAGMA integrity_check").get == "ok"
     rows = tuple(
-        Row(*row)
+        LogRow(*row)
         for row in connection.execute("SELECT seq, record, sealed, link FROM audit ORDER BY seq")
     )
     found = verify_rows(rows, terminal=None)
@@ -350,7 +350,7 @@ def look(disk: Disk, *, start_ms: int) -> tuple[tuple[Row, ...], Note | None]:
     return rows, newest
 
 
-def require_one_story(rows: tuple[Row, ...], held: dict[tuple[str, str], bytes]) -> None:
+def require_one_story(rows: tuple[LogRow, ...], held: dict[tuple[str, str], bytes]) -> None:
     """The registry holds what the records say, no more and no less."""
     starts = successes = last_success = actions = last_ms = 0
     tickets: list[str] = []
@@ -381,7 +381,7 @@ def require_one_story(rows: tuple[Row, ...], held: dict[tuple[str, str], bytes])
     assert (standing.order, standing.actions) == (successes, actions)
     assert [release.ticket for release in standing.open] == tickets
     # the act that reads the head after a `note` moves the clock and records nothing
-    assert decode(held["clock", "high"], High).utc_ms >= last_ms
+    assert decode(held["clock", "high"], ClockWatermark).utc_ms >= last_ms
 
 
 class BrokenPromiseError(AssertionError):

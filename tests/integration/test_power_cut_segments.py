@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import random
 
-from authguard_r.audit.verify import Row, verify_rows
+from authguard_r.audit.verify import LogRow, verify_rows
 from authguard_r.core.errors import StoreError
 from authguard_r.store.folder import Folder
 from authguard_r.store.segment_mover import Mover
@@ -124,7 +124,7 @@ class Life:
             store.close()
         finally:
             disk.unregister()
-        found = verify_rows([Row(*row) for row in rows])
+        found = verify_rows([LogRow(*row) for row in rows])
         assert found.whole, found
         links = {row[0]: row[3] for row in rows}
         assert not [seq for seq, link in self.links.items() if links.get(seq) != link]

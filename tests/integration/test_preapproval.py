@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from authguard_r.core.approval import PreApproval, Verdict
+from authguard_r.core.approval import ApprovalVerdict, PreApproval
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import Digest
@@ -22,7 +22,7 @@ from authguard_r.core.token import sign_object
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.signer import FileSigner
 from fixtures import approvals
-from missionpair.bench import Bench, Scene, make_bench, world
+from missionpair.bench import Bench, BenchScene, make_bench, world
 
 #: The isolation room's risk in the shipped mission, which asks one further person.
 TO = "isolation-room"
@@ -33,7 +33,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     return make_bench(tmp_path_factory.mktemp("bench") / "trust")
 
 
-def consent(scene: Scene, **changes: Any) -> PreApproval:
+def consent(scene: BenchScene, **changes: Any) -> PreApproval:
     """Return what a supervisor would sign for every way of the grant, with something changed."""
     mission, now = scene.mission, scene.sim.robot.wall_ms()
     made = PreApproval(
@@ -52,30 +52,32 @@ def consent(scene: Scene, **changes: Any) -> PreApproval:
 
 
 def hand_in(
-    bench: Bench, scene: Scene, said: PreApproval, by: str | FileSigner = "supervisor-1"
+    bench: Bench, scene: BenchScene, said: PreApproval, by: str | FileSigner = "supervisor-1"
 ) -> bytes:
     token = approvals.signed(bench, said, by, tag=Tag.PREAPPROVAL)  # type: ignore[arg-type]
     scene.sim.gate.management.select(token)
     return token
 
 
-def moved(scene: Scene) -> bool:
+def moved(scene: BenchScene) -> bool:
     return scene.sim.robot.state.region != "dock"
 
 
-def back(bench: Bench, scene: Scene) -> None:
+def back(bench: Bench, scene: BenchScene) -> None:
     """Put the robot back to the dock, as a person would push it."""
     scene.sim.robot.state = world(bench, "dock")
     scene.sim.robot.pause(500)
 
 
-def asks(scene: Scene) -> None:
+def asks(scene: BenchScene) -> None:
     """Assert that a person is asked now, and nothing moves."""
     assert approvals.outcome(scene) == ["APPROVAL_REQUIRED"]
     assert not moved(scene)
 
 
-def refused(bench: Bench, scene: Scene, said: PreApproval, by: str | FileSigner) -> tuple[str, str]:
+def refused(
+    bench: Bench, scene: BenchScene, said: PreApproval, by: str | FileSigner
+) -> tuple[str, str]:
     """Hand in what is refused; return reason and place, and check that nothing came of it."""
     before = scene.standing()
     with pytest.raises(AuthGuardError) as error:
@@ -183,7 +185,7 @@ def test_a_denial_withdraws_what_was_approved_in_advance(bench: Bench) -> None:
     asks(scene)
     hand_in(bench, scene, consent(scene))
     scene.sim.robot.pause(10)
-    approvals.hand_in(bench, scene, "safety-officer-1", verdict=Verdict.DENY)
+    approvals.hand_in(bench, scene, "safety-officer-1", verdict=ApprovalVerdict.DENY)
     scene.plan = approvals.plan(TO, speed=0.7)
     asks(scene)
     scene.plan = approvals.plan(TO)
@@ -201,7 +203,7 @@ def test_while_an_action_of_the_grant_is_denied_nothing_approved_in_advance_coun
 ) -> None:
     scene = approvals.scene(bench, TO)
     asks(scene)
-    approvals.hand_in(bench, scene, "safety-officer-1", verdict=Verdict.DENY)
+    approvals.hand_in(bench, scene, "safety-officer-1", verdict=ApprovalVerdict.DENY)
     scene.sim.robot.pause(10)
     hand_in(bench, scene, consent(scene))
     assert approvals.outcome(scene) == ["APPROVAL_DENIED"]
@@ -220,7 +222,7 @@ def test_an_issued_mission_takes_none(bench: Bench) -> None:
     scene = approvals.scene(bench, TO)
     sim = bench.simulation()
     sim.gate.management.issue(bench.sign(scene.mission))
-    waiting = Scene(sim=sim, mission=scene.mission, plan=scene.plan)
+    waiting = BenchScene(sim=sim, mission=scene.mission, plan=scene.plan)
     with pytest.raises(AuthGuardError) as error:
         hand_in(bench, waiting, consent(waiting))
     assert error.value.reason is Reason.MISSION_NOT_ACTIVE

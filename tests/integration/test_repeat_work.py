@@ -32,7 +32,7 @@ from authguard_r.keys.signer import folder_signer
 from authguard_r.operations.simulation import Simulation
 from authguard_r.site.model import Site, facts_of
 from authguard_r.store.sqlite import read_held, read_rows
-from authguard_r.store.transactions import Act
+from authguard_r.store.transactions import Transaction
 from fixtures import scenarios, templates
 from fixtures.decision_cases import plain_facts
 from fixtures.templates import instance, template, token
@@ -154,15 +154,15 @@ def test_an_activation_that_fails_in_the_middle_counts_nothing(
     tmp_path: Path, step: str, when: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sim = templates.admitted(store=tmp_path / "robot.db")
-    carried_out = getattr(Act, step)
+    carried_out = getattr(Transaction, step)
 
-    def fails(act: Act, *arguments: Any) -> Any:
+    def fails(act: Transaction, *arguments: Any) -> Any:
         if when == "after":
             carried_out(act, *arguments)
         raise StoreError("the disk is gone")
 
     with monkeypatch.context() as patch:
-        patch.setattr(Act, step, fails)
+        patch.setattr(Transaction, step, fails)
         with pytest.raises(StoreError):
             sim.gate.management.activate(token())
     assert sim.gate.management.standing("deliver.1") is None  # type: ignore[arg-type]

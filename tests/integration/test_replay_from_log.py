@@ -30,13 +30,13 @@ from authguard_r.audit.record import (
     read_record,
     read_sealed,
 )
-from authguard_r.audit.verify import Row, verify_rows
+from authguard_r.audit.verify import LogRow, verify_rows
 from authguard_r.authoring.keys.revoking import revoke
 from authguard_r.authoring.keys.setup import demo_members, init_folder
 from authguard_r.cli import call
 from authguard_r.cli.listing import Listing
-from authguard_r.cli.replay import Replay, replayed
-from authguard_r.core.approval import Verdict
+from authguard_r.cli.replay import LogReplay, replayed
+from authguard_r.core.approval import ApprovalVerdict
 from authguard_r.core.chain import link
 from authguard_r.core.encoding import Tag, b64, encode_fast
 from authguard_r.core.standing import Outcome
@@ -44,7 +44,7 @@ from authguard_r.core.token import sign_object
 from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
 from authguard_r.operations.simulation import Simulation, simulate
-from authguard_r.site.model import Emergency, site_digest
+from authguard_r.site.model import EmergencyPlaces, site_digest
 from authguard_r.store.memory import MemoryStore
 from authguard_r.store.sqlite import open_store, read_rows
 from authguard_r.wire.messages import ClientRole, Mode
@@ -61,9 +61,9 @@ PLAN = b'{"tool": "navigate_to", "arguments": {"destination": "Pharmacy", "speed
 Change = Callable[[Record, dict[str, Sealed]], Record]
 
 
-def again(rows: Iterable[Row], trust: Path | None = None, *, first: int = 0) -> Replay:
+def again(rows: Iterable[LogRow], trust: Path | None = None, *, first: int = 0) -> LogReplay:
     """Replay rows that are whole."""
-    made = Replay(None if trust is None else read_trust(trust), first=first)
+    made = LogReplay(None if trust is None else read_trust(trust), first=first)
     assert replayed(rows, made, Listing("differences", as_json=False)).whole
     return made
 
@@ -78,32 +78,32 @@ def asked(
     return code, told
 
 
-def rows_of(sim: Simulation) -> list[Row]:
+def rows_of(sim: Simulation) -> list[LogRow]:
     return list(sim.gate.ledger.store.rows())  # type: ignore[attr-defined]
 
 
-def kinds(rows: list[Row], kind: str) -> list[int]:
+def kinds(rows: list[LogRow], kind: str) -> list[int]:
     return [row.seq for row in rows if read_record(row.record, where="").kind == kind]
 
 
-def verbs(rows: list[Row], verb: str) -> list[int]:
+def verbs(rows: list[LogRow], verb: str) -> list[int]:
     return [row.seq for row in rows if read_record(row.record, where="").link.decision == verb]
 
 
-def forged(rows: list[Row], seq: int, change: Change) -> list[Row]:
+def forged(rows: list[LogRow], seq: int, change: Change) -> list[LogRow]:
     """Return a log in which one record says something else and the whole chain holds."""
     sealed = read_sealed(rows[seq].sealed, where="")
     record = change(read_record(rows[seq].record, where=""), sealed)
     committed = {name: commit(name, item) for name, item in sealed.items()}
     gone = {name: told for name, told in record.committed.items() if name not in committed}
     record = msgspec.structs.replace(record, committed={**committed, **gone})
-    row = Row(seq, encode_fast(record), encode_fast(sealed), b"")
+    row = LogRow(seq, encode_fast(record), encode_fast(sealed), b"")
     return chained([*rows[:seq], row, *rows[seq + 1 :]])
 
 
-def chained(rows: list[Row]) -> list[Row]:
+def chained(rows: list[LogRow]) -> list[LogRow]:
     """Return rows whose every number, digest and link was worked out anew."""
-    done: list[Row] = []
+    done: list[LogRow] = []
     for seq, row in enumerate(rows):
         record = read_record(row.record, where="")
         linked = msgspec.structs.replace(
@@ -113,22 +113,22 @@ def chained(rows: list[Row]) -> list[Row]:
             evidence=evidence(record.kind, record.open, record.committed),
         )
         record = msgspec.structs.replace(record, link=linked)
-        done.append(Row(seq, encode_fast(record), row.sealed, link(linked)))
+        done.append(LogRow(seq, encode_fast(record), row.sealed, link(linked)))
     assert verify_rows(done, terminal=None).whole
     return done
 
 
-def destroyed(rows: list[Row], seq: int, name: str) -> list[Row]:
+def destroyed(rows: list[LogRow], seq: int, name: str) -> list[LogRow]:
     """Return a log in which one sealed value is gone; the chain is as it was."""
     sealed = read_sealed(rows[seq].sealed, where="")
     del sealed[name]
     rows = [*rows]
-    rows[seq] = Row(seq, rows[seq].record, encode_fast(sealed), rows[seq].link)
+    rows[seq] = LogRow(seq, rows[seq].record, encode_fast(sealed), rows[seq].link)
     assert verify_rows(rows, terminal=None).whole
     return rows
 
 
-def written(path: Path, rows: Iterable[Row]) -> Path:
+def written(path: Path, rows: Iterable[LogRow]) -> Path:
     store = open_store(path)
     for row in rows:
         store.run(lambda turn, r=row: turn.append(r.record, r.sealed, r.link))
@@ -137,7 +137,7 @@ def written(path: Path, rows: Iterable[Row]) -> Path:
 
 
 @cache
-def walked() -> tuple[Row, ...]:
+def walked() -> tuple[LogRow, ...]:
     """A log of accepts and refusals, by a gate whose mission ran out in the end."""
     sim = scenarios.simulation()
     sim.gate.management.activate(scenarios.token())
@@ -159,7 +159,7 @@ def without_one(folder: Path, name: str) -> bytes:
     return (folder / "revocations" / "people.json").read_bytes()
 
 
-def approved(bench: Bench) -> tuple[Simulation, list[Row]]:
+def approved(bench: Bench) -> tuple[Simulation, list[LogRow]]:
     """Return a gate whose log has a question, two answers and what they allowed."""
     scene = restricted(bench)
     propose(scene)
@@ -246,12 +246,12 @@ def test_a_decision_after_a_new_list_is_made_under_that_list(bench: Bench, tmp_p
     assert again(gone, bench.folder).agree == 2  # what it revoked is not known: nobody
 
 
-def denied(bench: Bench, tmp_path: Path) -> list[Row]:
+def denied(bench: Bench, tmp_path: Path) -> list[LogRow]:
     """Return a log in which a denial came in, its signer was revoked, and others approved."""
     shutil.copytree(bench.folder, tmp_path / "auth")
     scene = restricted(bench)
     propose(scene)
-    approvals.hand_in(bench, scene, "supervisor-2", verdict=Verdict.DENY)
+    approvals.hand_in(bench, scene, "supervisor-2", verdict=ApprovalVerdict.DENY)
     scene.sim.gate.lists.install(without_one(tmp_path / "auth", "supervisor-2"))
     approve(bench, scene, "supervisor-1", "safety-officer-1")
     right, scene.plan = scene.plan, approvals.plan("plant-room")
@@ -378,7 +378,7 @@ def test_the_organizations_policy_is_among_the_inputs(
         with gate.client(ClientRole.OPERATOR) as console:
             (question,) = console.approvals()
             by = folder_signer(scenarios.trust_folder(), "supervisor-1")
-            console.answer(question, Verdict.APPROVE, by)
+            console.answer(question, ApprovalVerdict.APPROVE, by)
         assert planner.propose(PLAN)["steps"][-1]["reasons"] == []
         code, told = asked(capsys, gate.store, "--trust", gate.trust)  # a gate that runs tells it
         assert (code, told["differ"], told["told_by"]) == (0, 0, gate.pid)
@@ -660,7 +660,7 @@ def test_a_gate_that_starts_with_another_site_says_so_in_its_log(tmp_path: Path)
     """What is decided on the other site is decided alike again, and what comes after it."""
     store, other = (
         tmp_path / "robot.db",
-        replace(scenarios.site(), emergency=Emergency(places={"dock": "charging"})),
+        replace(scenarios.site(), emergency=EmergencyPlaces(places={"dock": "charging"})),
     )
     for number, site in enumerate((scenarios.site(), other, other, scenarios.site())):
         sim = simulate(
@@ -685,7 +685,7 @@ def test_a_gate_that_starts_with_another_site_says_so_in_its_log(tmp_path: Path)
     assert (found.agree, found.decisions) == (4, 4)
 
 
-def ended(bench: Bench) -> list[Row]:
+def ended(bench: Bench) -> list[LogRow]:
     """Return the log of a gate that held its issuer's certificates to have ended."""
     scene = restricted(bench)
     kept = scene.sim.gate.enforcer.intake._verified
@@ -715,7 +715,7 @@ def test_a_log_that_is_not_whole_says_so_and_what_came_before_is_replayed(
 ) -> None:
     rows = list(walked())
     at = kinds(rows, "decision")[-1]
-    rows[at] = Row(at, rows[at].record, rows[at].sealed, bytes(32))
+    rows[at] = LogRow(at, rows[at].record, rows[at].sealed, bytes(32))
     code, told = asked(capsys, written(tmp_path / "cut.db", rows))
     assert (code, told["whole"], told["where"]) == (1, False, f"record {at}")
     assert (told["agree"], told["differ"]) == (5, 0)

@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from authguard_r.audit.record import Record, Sealed, read_record
-from authguard_r.audit.verify import Row
+from authguard_r.audit.verify import LogRow
 from authguard_r.auditor.replay.repairs import Repairs
 from fixtures import scenarios
 from integration.test_replay_from_log import Change, again, destroyed, forged, kinds, rows_of
@@ -21,7 +21,7 @@ REFUSED, UNSAFE, REPAIR, LATER = range(4)
 
 
 @cache
-def repaired() -> tuple[Row, ...]:
+def repaired() -> tuple[LogRow, ...]:
     """A log: one action refused by authorization, one unsafe, its repair, and a safe action."""
     sim = ready(mission())
     propose(sim, scenarios.navigate("dock", "station-103"))

@@ -13,10 +13,10 @@ from typing import Any
 import pytest
 
 from authguard_r.audit.record import BOX, WRAP
-from authguard_r.audit.verify import Row
+from authguard_r.audit.verify import LogRow
 from authguard_r.cli.logs import open_log
-from authguard_r.cli.replay import Replay
-from authguard_r.core.approval import Verdict
+from authguard_r.cli.replay import LogReplay
+from authguard_r.core.approval import ApprovalVerdict
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import MissionId
 from authguard_r.core.mission import DataClass, Mission
@@ -94,14 +94,14 @@ def gate() -> Iterator[SealingGate]:
         yield running
 
 
-def replayed(rows: list[Row], trust: Path, role: str = "auditor") -> Replay:
-    replay = Replay(read_trust(trust))
+def replayed(rows: list[LogRow], trust: Path, role: str = "auditor") -> LogReplay:
+    replay = LogReplay(read_trust(trust))
     for row in sealed_logs.opened(rows, role):
         assert replay.see(row) is None
     return replay
 
 
-def said(rows: list[Row], role: str) -> bytes:
+def said(rows: list[LogRow], role: str) -> bytes:
     """Return the values that a role reads beside the records."""
     return b"".join(row.sealed for row in sealed_logs.opened(rows, role)[1:])
 
@@ -160,7 +160,7 @@ def test_an_open_request_of_before_a_restart_shows_nothing_that_is_closed(
         (question,) = console.approvals()
         assert (question.scope_bytes, question.is_current) == (None, False)
         with pytest.raises(AuthGuardError):
-            console.answer(question, Verdict.APPROVE, key("supervisor-1"))
+            console.answer(question, ApprovalVerdict.APPROVE, key("supervisor-1"))
 
 
 def test_an_order_at_a_terminal_destroys_and_a_kill_in_the_middle_loses_nothing(
@@ -210,7 +210,7 @@ def test_a_gate_without_a_rule_destroys_a_class_at_the_time_that_its_mission_say
     assert (left[mission.mid], bool(left[other.mid])) == ([], True)
 
 
-def regions(rows: list[Row], mid: MissionId) -> list[str]:
+def regions(rows: list[LogRow], mid: MissionId) -> list[str]:
     """Return what of a mission is still sealed for readers of regions."""
     mine = [row for row in rows if sealed_logs.told(row).link.mid == mid]
     names = [name for row in mine for name in sealed_logs.values(row)]

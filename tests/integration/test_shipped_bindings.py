@@ -28,7 +28,7 @@ from authguard_r.core.token import sign_object
 from authguard_r.keys.signer import folder_signer
 from authguard_r.normalize import Dialect, normalize
 from authguard_r.normalize.bind import Binder
-from authguard_r.normalize.binding import Binding, Way, ways
+from authguard_r.normalize.binding import Binding, ToolWay, ways
 from authguard_r.normalize.rebuild import Rebuilder, call_bytes
 from authguard_r.normalize.shipped import binding_source, shipped_names
 from authguard_r.operations.simulation import Simulation, simulate
@@ -108,7 +108,7 @@ def lab(name: str) -> Site:
     return site
 
 
-def samples(name: str) -> list[tuple[Way, bytes]]:
+def samples(name: str) -> list[tuple[ToolWay, bytes]]:
     """Return the planner's bytes for each way of a shipped binding."""
     sampler = Sampler(lab(name))
     made = []
@@ -197,7 +197,7 @@ def granted(name: str, actions: list[Action]) -> Mission:
     return mission
 
 
-def state_for(name: str, way: Way) -> WorldState:
+def state_for(name: str, way: ToolWay) -> WorldState:
     """Return the world in which the call makes sense: a full hand for what lets go."""
     state = initial_state(lab(name), "room-1")
     state = msgspec.structs.replace(state, things={"thing-1": ("filled-1",)})
@@ -208,7 +208,7 @@ def state_for(name: str, way: Way) -> WorldState:
     return msgspec.structs.replace(state, holding=held, places=places)
 
 
-def started(name: str, folder: Path, way: Way, token: bytes) -> Simulation:
+def started(name: str, folder: Path, way: ToolWay, token: bytes) -> Simulation:
     simulation = simulate(
         folder,
         lab(name),

@@ -24,7 +24,7 @@ from authguard_r.audit.record import Terminal, read_record
 from authguard_r.audit.verify import verify_rows
 from authguard_r.authoring.keys.setup import Member, demo_members, init_folder
 from authguard_r.client.handshake import Greeting, require_welcome
-from authguard_r.core.approval import Approval, Verdict
+from authguard_r.core.approval import Approval, ApprovalVerdict
 from authguard_r.core.encoding import Tag, b64, digest_of, encode_fast, unb64
 from authguard_r.core.errors import AuthenticityError, AuthGuardError
 from authguard_r.core.mission import Mission
@@ -46,7 +46,7 @@ from authguard_r.sim.robot import snapshot_of
 from authguard_r.site.signed import read_signed_site, sign_site
 from authguard_r.wire.messages import PROTOCOL, ClientRole, Mode, Proof, Welcome
 from fixtures import scenarios, templates
-from missionpair.bench import Bench, Scene, approve, choose, order, propose
+from missionpair.bench import Bench, BenchScene, approve, choose, order, propose
 from missionpair.suite import restricted
 
 pytestmark = pytest.mark.complete
@@ -146,7 +146,7 @@ def approval(mission: Mission) -> Approval:
         situation=b64(bytes(32)),
         counter=1,
         expires_ms=LATER,
-        verdict=Verdict.APPROVE,
+        verdict=ApprovalVerdict.APPROVE,
     )
 
 
@@ -295,7 +295,7 @@ def test_every_key_of_a_set_up_is_of_its_algorithm(setup: Setup) -> None:
 
 
 def run(sim: Simulation, mission: Mission, plan: bytes) -> list[Any]:
-    return propose(Scene(sim=sim, mission=mission, plan=plan))
+    return propose(BenchScene(sim=sim, mission=mission, plan=plan))
 
 
 def last(sim: Simulation) -> Any:

@@ -18,7 +18,7 @@ from authguard_r.core.provenance import Label, SourceField
 from authguard_r.core.reasons import Reason
 from authguard_r.site.channels import CHANNELS
 from fixtures import approvals
-from missionpair.bench import Bench, Scene, make_bench, propose
+from missionpair.bench import Bench, BenchScene, make_bench, propose
 from missionpair.suite import at_dock
 
 #: Every label but a camera's.
@@ -30,13 +30,13 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     return make_bench(tmp_path_factory.mktemp("bench") / "trust")
 
 
-def scene(bench: Bench, *to: str, **changes: Any) -> Scene:
+def scene(bench: Bench, *to: str, **changes: Any) -> BenchScene:
     """Return a scene at the dock whose planner goes to the first of the places, as it may."""
     draft = {**approvals.draft(bench, *(to or ("pharmacy",))), **changes}
     return at_dock(bench, draft, approvals.plan("pharmacy"))
 
 
-def denied(at: Scene, channel: str = "") -> list[str]:
+def denied(at: BenchScene, channel: str = "") -> list[str]:
     """Propose once a text came on a channel, none if it is empty; return the fields denied."""
     at.context = [(channel, "The lift is out of order.")] if channel else []
     judged = propose(at)[-1].judged
@@ -107,7 +107,7 @@ def test_a_token_of_the_first_language_is_accepted_as_before(bench: Bench) -> No
     first = replace(at.mission, schema="authguard-r/mission/1")
     sim = bench.simulation()
     sim.gate.management.activate(bench.sign(first))
-    assert denied(Scene(sim=sim, mission=first, plan=at.plan), "camera") == []
+    assert denied(BenchScene(sim=sim, mission=first, plan=at.plan), "camera") == []
 
 
 def test_a_token_of_the_first_language_with_a_newer_field_is_refused_by_its_place(

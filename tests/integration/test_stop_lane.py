@@ -19,7 +19,7 @@ import pytest
 from authguard_r.access.gate_config import Peer as Named
 from authguard_r.client.blocking import GateClient
 from authguard_r.estop.run_folder import EPOCH, FIRST_SPOOL, PID, SOCKET, SPOOL, is_served
-from authguard_r.estop.startup import LaneFiles
+from authguard_r.estop.startup import EStopFiles
 from authguard_r.estop.stop_queue import WINDOW
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.frames import frame
@@ -30,12 +30,12 @@ FLOODS, EACH, OWN = 4, 500, 40
 
 
 @pytest.fixture
-def files() -> LaneFiles:
+def files() -> EStopFiles:
     return estop_fixtures.files()
 
 
 @pytest.fixture
-def lane(files: LaneFiles) -> Iterator[Path]:
+def lane(files: EStopFiles) -> Iterator[Path]:
     """A lane that serves; yields its run folder."""
     with estop_fixtures.process(files):
         yield files.run
@@ -290,7 +290,7 @@ def test_under_a_flood_from_eight_planners_an_operator_s_stop_is_told_to_a_slow_
         assert line["n"] == stops[-1]["n"]
 
 
-def test_an_operator_s_stop_in_a_flood_outlives_a_killed_lane(files: LaneFiles) -> None:
+def test_an_operator_s_stop_in_a_flood_outlives_a_killed_lane(files: EStopFiles) -> None:
     with estop_fixtures.process(files) as child:
         client, operator = planner(files.run), estop_fixtures.Client(files.run)
         operator.hello(ClientRole.OPERATOR, "anna")
@@ -306,7 +306,7 @@ def test_an_operator_s_stop_in_a_flood_outlives_a_killed_lane(files: LaneFiles) 
         assert (first["role"], first["by"], first["why"]) == ("operator", "anna", "mine")
 
 
-def test_a_lane_that_is_killed_leaves_its_records_to_the_next_one(files: LaneFiles) -> None:
+def test_a_lane_that_is_killed_leaves_its_records_to_the_next_one(files: EStopFiles) -> None:
     with estop_fixtures.process(files) as child:
         client = planner(files.run)
         for number in range(3):
@@ -339,7 +339,7 @@ def test_a_lane_that_is_killed_leaves_its_records_to_the_next_one(files: LaneFil
 
 @pytest.mark.smoke
 def test_a_lane_outlives_the_gate_that_started_it_and_is_adopted_by_the_next(
-    files: LaneFiles,
+    files: EStopFiles,
 ) -> None:
     words = json.dumps({name: str(getattr(files, name)) for name in files.__struct_fields__})
     call = f"start_and_wait({words!r})"
@@ -368,7 +368,7 @@ def test_a_lane_outlives_the_gate_that_started_it_and_is_adopted_by_the_next(
             os.kill(lane, signal.SIGKILL)
 
 
-def test_a_second_lane_is_refused_with_its_reason(files: LaneFiles) -> None:
+def test_a_second_lane_is_refused_with_its_reason(files: EStopFiles) -> None:
     with estop_fixtures.process(files):
         words = [sys.executable, "-c", "from authguard_r.cli import main; main()", "stop-lane"]
         for name in ("run", "robot", "trust", "key", "cert", "config"):
@@ -383,7 +383,7 @@ def test_a_second_lane_is_refused_with_its_reason(files: LaneFiles) -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_lane_that_is_asked_to_end_leaves_nothing_behind(
-    files: LaneFiles, number: signal.Signals
+    files: EStopFiles, number: signal.Signals
 ) -> None:
     with estop_fixtures.process(files) as child:
         assert (files.run / PID).read_text() == f"{child.pid}\n"

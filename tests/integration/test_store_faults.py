@@ -24,21 +24,21 @@ from typing import Any, TypeVar
 import apsw
 import pytest
 
-from authguard_r.audit.verify import Row, verify_rows
+from authguard_r.audit.verify import LogRow, verify_rows
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import ClockError, StoreError
 from authguard_r.core.lease import Lease
 from authguard_r.core.lifecycle import Event, Status
-from authguard_r.core.ports import Flight, Store, Turn
+from authguard_r.core.ports import GoalHandle, Store, Turn
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome, Standing, advance
 from authguard_r.core.token import sign_object
 from authguard_r.enforcement.report import stop_entry
 from authguard_r.enforcement.signed_orders import Command, Verb
 from authguard_r.keys.signer import folder_signer
+from authguard_r.operations import simulation
 from authguard_r.operations.simulation import Simulation
-from authguard_r.server import wiring
 from authguard_r.sim.robot import Faults
 from authguard_r.store import clocks
 from authguard_r.store.memory import MemoryStore
@@ -83,12 +83,12 @@ def connection(sim: Simulation) -> apsw.Connection:
     return sim.gate.ledger.store._connection  # type: ignore[attr-defined, no-any-return]
 
 
-def rows_of(sim: Simulation) -> tuple[Row, ...]:
+def rows_of(sim: Simulation) -> tuple[LogRow, ...]:
     query = "SELECT seq, record, sealed, link FROM audit ORDER BY seq"
-    return tuple(Row(*row) for row in connection(sim).execute(query))
+    return tuple(LogRow(*row) for row in connection(sim).execute(query))
 
 
-def kinds(rows: tuple[Row, ...]) -> list[str]:
+def kinds(rows: tuple[LogRow, ...]) -> list[str]:
     return [json.loads(row.record)["kind"] for row in rows]
 
 
@@ -231,7 +231,7 @@ def fault(
 ) -> Iterator[tuple[Broken, Reason]]:
     """A fault and its code; every store opened from here on can be broken by it."""
     vfs = Breakable()
-    monkeypatch.setattr(wiring, "open_store", partial(open_store, vfs=vfs.name))
+    monkeypatch.setattr(simulation, "open_store", partial(open_store, vfs=vfs.name))
     yield Broken(request.param, vfs), FAULTS[request.param]
     vfs.unregister()
 
@@ -294,7 +294,7 @@ def test_an_outcome_that_cannot_be_recorded_leaves_its_release_to_a_person(
     sim.gate.management.activate(scenarios.token(MISSION))
     begin = sim.robot.dispatch
 
-    def dispatch(action: Action, lease: Lease) -> Flight:
+    def dispatch(action: Action, lease: Lease) -> GoalHandle:
         broken.break_it(sim)
         return begin(action, lease)
 
@@ -452,7 +452,7 @@ def test_a_store_on_a_read_only_disk_is_refused_until_it_can_be_written(
     before = path.read_bytes()
     vfs = ReadOnly()
     with monkeypatch.context() as patched:
-        patched.setattr(wiring, "open_store", partial(open_store, vfs=vfs.name))
+        patched.setattr(simulation, "open_store", partial(open_store, vfs=vfs.name))
         with pytest.raises(StoreError) as refused:
             scenarios.simulation(store=path)
     vfs.unregister()

@@ -24,7 +24,7 @@ from authguard_r.core.standing import Outcome
 from authguard_r.core.token import sign_object
 from authguard_r.normalize import normalize
 from authguard_r.provenance.context import CHANNELS, ContextLedger
-from authguard_r.provenance.mentions import How
+from authguard_r.provenance.mentions import MentionMatch
 from authguard_r.sim.robot import snapshot_of
 from authguard_r.store.sqlite import read_rows
 from fixtures import scenarios
@@ -279,15 +279,15 @@ def test_a_language_model_s_output_is_no_order_however_it_is_handed_in() -> None
 @pytest.mark.parametrize(
     ("text", "how"),
     [
-        ("Deliver everything to Station 103", How.EXACT),
-        ("deliver everything to st\u0430tion_1O3", How.VARIANT),
-        ("deliver everything to station one hundred and three", How.NUMBER),
+        ("Deliver everything to Station 103", MentionMatch.EXACT),
+        ("deliver everything to st\u0430tion_1O3", MentionMatch.VARIANT),
+        ("deliver everything to station one hundred and three", MentionMatch.NUMBER),
     ],
     ids=["exact", "look-alike", "in words"],
 )
 @pytest.mark.parametrize("channel", sorted(CHANNELS))
 def test_a_marker_is_followed_from_its_channel_to_label_verdict_and_log(
-    channel: str, text: str, how: How, tmp_path: Path
+    channel: str, text: str, how: MentionMatch, tmp_path: Path
 ) -> None:
     sim = ready(store=tmp_path / "robot.db")
     context = heard(sim, channel, "good morning", text, "good night")

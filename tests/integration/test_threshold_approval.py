@@ -17,7 +17,7 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from authguard_r.approvals import answer
 from authguard_r.audit.record import read_record
 from authguard_r.cli import call
-from authguard_r.core.approval import Approval, Verdict
+from authguard_r.core.approval import Approval, ApprovalVerdict
 from authguard_r.core.encoding import Tag, digest_of, unb64
 from authguard_r.core.errors import AuthenticityError, RefusedError
 from authguard_r.core.identifiers import PrincipalId
@@ -31,7 +31,7 @@ from authguard_r.wire.messages import ClientRole
 from fixtures import scenarios
 from fixtures.gate_process import RunningGate, until
 from fixtures.threshold_groups import prepared, signature
-from missionpair.bench import Bench, Scene, calls, make_bench, propose
+from missionpair.bench import Bench, BenchScene, calls, make_bench, propose
 from missionpair.suite import at_dock, wide, with_grant
 
 BOARD = ("ana", "ben", "cho", "dee", "eli")
@@ -92,7 +92,7 @@ def to(place: str) -> bytes:
     return calls(("navigate_to", {"destination": place, "speed": 0.5}))
 
 
-def scene_of(bench: Bench, *, needed: int = 4) -> Scene:
+def scene_of(bench: Bench, *, needed: int = 4) -> BenchScene:
     """Return a robot at its dock with two rooms that so many principals must let it into."""
     rows = [
         {"source": "dock", "destination": room, "regions": ["dock", room, "public-corridor"]}
@@ -108,13 +108,13 @@ def scene_of(bench: Bench, *, needed: int = 4) -> Scene:
     return scene
 
 
-def reasons(scene: Scene) -> list[str]:
+def reasons(scene: BenchScene) -> list[str]:
     report = propose(scene)[-1]
     assert report.judged is not None
     return [str(reason) for reason in report.judged.decision.reasons]
 
 
-def asked(scene: Scene, verdict: Verdict = Verdict.APPROVE) -> Approval:
+def asked(scene: BenchScene, verdict: ApprovalVerdict = ApprovalVerdict.APPROVE) -> Approval:
     standing = scene.standing()
     assert standing is not None
     verified = scene.sim.gate.ledger.run(scene.sim.gate.enforcer.intake.active_mission)
@@ -122,7 +122,7 @@ def asked(scene: Scene, verdict: Verdict = Verdict.APPROVE) -> Approval:
     return answer(verified, grant, request, rid=scene.sim.robot.rid, verdict=verdict)
 
 
-def answers(scene: Scene) -> list[Any]:
+def answers(scene: BenchScene) -> list[Any]:
     rows = [read_record(row.record, where="") for row in scene.sim.gate.ledger.store.rows()]
     return [dict(r.open) for r in rows if dict(r.open).get("verb") == "answer"]
 
@@ -219,7 +219,7 @@ def test_two_groups_that_share_members_count_each_person_once(
 
 def test_a_group_can_deny(bench: Any, board: Any) -> None:
     scene = scene_of(bench)
-    denial = board.approve(asked(scene, Verdict.DENY), board.dealt.shares[:3])
+    denial = board.approve(asked(scene, ApprovalVerdict.DENY), board.dealt.shares[:3])
     scene.sim.gate.management.approve(denial)
     assert reasons(scene) == ["APPROVAL_DENIED"]
     assert scene.sim.robot.state.region == "dock"

@@ -16,7 +16,7 @@ from authguard_r.core.standing import Outcome
 from authguard_r.core.token import sign_object
 from authguard_r.enforcement.signed_orders import Command, Verb
 from authguard_r.operations.simulation import Simulation
-from authguard_r.store.transactions import Act
+from authguard_r.store.transactions import Transaction
 from fixtures import scenarios
 
 GO = scenarios.navigate("dock", "pharmacy")
@@ -76,11 +76,11 @@ def test_a_mark_that_is_neither_is_no_clean_stop() -> None:
 def test_a_mark_that_cannot_be_written_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     sim = scenarios.simulation()
 
-    def fails(_: Act, *__: Any) -> None:
+    def fails(_: Transaction, *__: Any) -> None:
         raise StoreError("the disk is gone")
 
     with monkeypatch.context() as patch:
-        patch.setattr(Act, "put", fails)
+        patch.setattr(Transaction, "put", fails)
         for act in (sim.gate.management.started, sim.gate.management.stopped):
             with pytest.raises(StoreError):
                 act()

@@ -30,7 +30,7 @@ from authguard_r.core.state import Reading, Snapshot
 from authguard_r.core.token import sign_object
 from authguard_r.sim.robot import snapshot_of
 from authguard_r.store.sqlite import read_rows
-from authguard_r.store.transactions import Act
+from authguard_r.store.transactions import Transaction
 from fixtures import scenarios
 
 SET = msgspec.structs.replace
@@ -251,15 +251,15 @@ def test_an_update_that_fails_in_the_middle_leaves_the_old_version_whole(
     sim = scenarios.simulation(store=tmp_path / "robot.db")
     sim.gate.management.activate(scenarios.token())
     before = sim.gate.management.standing("deliver-p1")
-    carried_out = getattr(Act, step)
+    carried_out = getattr(Transaction, step)
 
-    def fails(act: Act, *arguments: Any) -> Any:
+    def fails(act: Transaction, *arguments: Any) -> Any:
         if when == "after":
             carried_out(act, *arguments)
         raise StoreError("the disk is gone")
 
     with monkeypatch.context() as patch:
-        patch.setattr(Act, step, fails)
+        patch.setattr(Transaction, step, fails)
         with pytest.raises(StoreError):
             sim.gate.management.activate(scenarios.token(second()))
     assert sim.gate.management.standing("deliver-p1") == before

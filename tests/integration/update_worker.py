@@ -2,7 +2,7 @@
 """A gate's process that dies in the middle of a mission's update, without a word.
 
 Called with the trust folder, the store, the token's file, the instant, and the step after which
-it dies: a method of `Act`, or `afterwards`.
+it dies: a method of `Transaction`, or `afterwards`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from authguard_r.operations.simulation import simulate
-from authguard_r.store.transactions import Act
+from authguard_r.store.transactions import Transaction
 from fixtures import scenarios
 
 DEAD = 9
@@ -29,13 +29,13 @@ def main(folder: str, store: str, token: str, start_ms: str, step: str) -> None:
         store=Path(store),
     )
     if step != "afterwards":
-        carried_out = getattr(Act, step)
+        carried_out = getattr(Transaction, step)
 
-        def dies(act: Act, *arguments: Any) -> None:
+        def dies(act: Transaction, *arguments: Any) -> None:
             carried_out(act, *arguments)
             os._exit(DEAD)
 
-        setattr(Act, step, dies)
+        setattr(Transaction, step, dies)
     simulation.gate.management.activate(Path(token).read_bytes())
     os._exit(DEAD)
 

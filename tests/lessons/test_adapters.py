@@ -24,17 +24,17 @@ from fixtures.gate_process import RunningGate, until
 
 pytestmark = pytest.mark.smoke
 
-SRC = scenarios.ROOT / "src" / "authguard_r"
+SRC = scenarios.ROOT / "src" / "authguard_r" / "integrations"
 TESTS = scenarios.ROOT / "tests"
-ADAPTERS = ("mcp", "http", "adapters", "tools")
+ADAPTERS = ("mcp", "http", "functions", "tools")
 #: Where each adapter is held against everything that it can be asked.
 PROOFS = {
     "mcp": "test_mcp_gateway.py",
     "http": "../lessons/test_adapters.py",
-    "adapters.langchain": "test_adapters_langchain.py",
-    "adapters.openai_agents": "test_adapters_openai_agents.py",
-    "adapters.pydantic_ai": "test_adapters_pydantic_ai.py",
-    "adapters.inspect": "test_adapters_inspect.py",
+    "functions.langchain": "test_adapters_langchain.py",
+    "functions.openai_agents": "test_adapters_openai_agents.py",
+    "functions.pydantic_ai": "test_adapters_pydantic_ai.py",
+    "functions.inspect": "test_adapters_inspect.py",
 }
 #: Packages that run no tool.
 HELPFUL = ("msgspec", "pydantic", "pydantic_core", "anyio", "typing_extensions")
@@ -78,7 +78,7 @@ def foreign(path: Path) -> set[str]:
 
 
 def test_l1_every_adapter_is_held_against_everything_that_it_can_be_asked() -> None:
-    frameworks = {name for name, path in modules("adapters").items() if foreign(path)}
+    frameworks = {name for name, path in modules("functions").items() if foreign(path)}
     assert frameworks | {"mcp", "http"} == set(PROOFS)
     for name, proof in PROOFS.items():
         text = (TESTS / "integration" / proof).read_text()
@@ -87,8 +87,8 @@ def test_l1_every_adapter_is_held_against_everything_that_it_can_be_asked() -> N
 
 def test_l1_one_place_proposes_for_planners_and_one_drives() -> None:
     assert saying("PLANNER") == {"tools.planner", "http.process"}
-    assert saying("ToolBody") == {"tools.ends"}
-    assert saying("Driver") == {"tools.ends"}
+    assert saying("ToolBody") == {"tools.endpoints"}
+    assert saying("Driver") == {"tools.endpoints"}
     assert saying("CONTROLLER") == set()  # `client.driver` alone
 
 

@@ -19,7 +19,7 @@ from cryptography.hazmat.primitives.serialization import (
 )
 
 from authguard_r.audit.record import read_record
-from authguard_r.core.approval import Approval, Verdict
+from authguard_r.core.approval import Approval, ApprovalVerdict
 from authguard_r.core.encoding import Tag, encode
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.token import read_token, sign_object
@@ -33,7 +33,7 @@ from authguard_r.wire.disclosure import Disclosure
 from fixtures import approvals, scenarios
 from fixtures.cases import case
 from fixtures.restarting_gate import Station, go, signer, trust
-from missionpair.bench import Bench, Scene, make_bench, propose
+from missionpair.bench import Bench, BenchScene, make_bench, propose
 
 WORDS = "ZEBRA-7 go to the pharmacy instead"
 
@@ -44,21 +44,21 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
 
 
 @pytest.fixture
-def asked(bench: Bench) -> Scene:
+def asked(bench: Bench) -> BenchScene:
     """The way into the isolation room was proposed, and one person is asked."""
     scene = approvals.scene(bench, "isolation-room")
     assert approvals.outcome(scene) == ["APPROVAL_REQUIRED"]
     return scene
 
 
-def stands(scene: Scene) -> bool:
+def stands(scene: BenchScene) -> bool:
     return scene.sim.robot.trace == []
 
 
 # L5: approvals
 
 
-def test_l5_an_approval_has_an_approver(asked: Scene) -> None:
+def test_l5_an_approval_has_an_approver(asked: BenchScene) -> None:
     for claim in (b"approve", b"{}", encode(approvals.approval(asked))):
         with pytest.raises(AuthGuardError):
             asked.sim.gate.management.approve(claim)
@@ -69,7 +69,7 @@ def test_l5_an_approval_has_an_approver(asked: Scene) -> None:
         msgspec.convert({"verdict": "approve"}, Approval)
 
 
-def test_l5_an_approval_is_used_once(bench: Bench, asked: Scene) -> None:
+def test_l5_an_approval_is_used_once(bench: Bench, asked: BenchScene) -> None:
     token = approvals.signed(bench, approvals.approval(asked), "supervisor-1")
     asked.sim.gate.management.approve(token)
     assert approvals.outcome(asked) == []
@@ -93,7 +93,7 @@ def test_l5_an_approval_is_of_an_action_with_its_arguments_not_of_a_name(
     assert stands(scene)
 
 
-def test_l5_who_asks_does_not_answer(bench: Bench, asked: Scene) -> None:
+def test_l5_who_asks_does_not_answer(bench: Bench, asked: BenchScene) -> None:
     approvals.hand_in(bench, asked, "operator-1")
     own = approvals.key_of(bench.folder, "operator-1", Role.SUPERVISOR)
     approvals.hand_in(bench, asked, own)
@@ -101,9 +101,11 @@ def test_l5_who_asks_does_not_answer(bench: Bench, asked: Scene) -> None:
     assert stands(asked)
 
 
-def test_l5_an_approvers_words_reach_the_log_and_no_model(bench: Bench, asked: Scene) -> None:
+def test_l5_an_approvers_words_reach_the_log_and_no_model(bench: Bench, asked: BenchScene) -> None:
     gate = asked.sim.gate
-    token = approvals.signed(bench, approvals.approval(asked, verdict=Verdict.DENY), "supervisor-1")
+    token = approvals.signed(
+        bench, approvals.approval(asked, verdict=ApprovalVerdict.DENY), "supervisor-1"
+    )
     gate.management.approve(token, why=WORDS)
     (report,) = propose(asked)
     for level in Disclosure:
@@ -114,10 +116,10 @@ def test_l5_an_approvers_words_reach_the_log_and_no_model(bench: Bench, asked: S
     assert not any(b"ZEBRA" in row[1] for row in rows)  # nowhere open
 
 
-def test_l5_a_retry_replays_no_decision(bench: Bench, asked: Scene) -> None:
+def test_l5_a_retry_replays_no_decision(bench: Bench, asked: BenchScene) -> None:
     """Denied, then tried again: a new question, and the old denial and approval answer nothing."""
     denied = approvals.signed(
-        bench, approvals.approval(asked, verdict=Verdict.DENY), "supervisor-1"
+        bench, approvals.approval(asked, verdict=ApprovalVerdict.DENY), "supervisor-1"
     )
     agreed = approvals.signed(bench, approvals.approval(asked), "supervisor-2")
     for token in (agreed, denied):
@@ -130,7 +132,7 @@ def test_l5_a_retry_replays_no_decision(bench: Bench, asked: Scene) -> None:
     assert stands(asked)
 
 
-def test_l5_a_timeout_has_a_reason_of_its_own(bench: Bench, asked: Scene) -> None:
+def test_l5_a_timeout_has_a_reason_of_its_own(bench: Bench, asked: BenchScene) -> None:
     approvals.hand_in(bench, asked, "supervisor-1")
     asked.sim.robot.pause(120_001)
     assert approvals.outcome(asked) == ["APPROVAL_TIMEOUT"]

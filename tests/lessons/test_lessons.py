@@ -12,7 +12,7 @@ import msgspec
 import pytest
 
 from authguard_r.core.action import Action
-from authguard_r.core.approval import Verdict
+from authguard_r.core.approval import ApprovalVerdict
 from authguard_r.core.decision import Verdict as Answer
 from authguard_r.core.encoding import encode
 from authguard_r.core.errors import AuthGuardError, MalformedError
@@ -230,7 +230,7 @@ def test_an_approval_never_helps_an_action_outside_the_mission() -> None:
         case = next(c for c in map(accepted_case, map(Random, range(500))) if c.approvals)
     outside = _with_action(case, destination="office-2")
     assert decide_case(outside).verdict is Answer.REJECT
-    assert case.approvals[0].approval.verdict is Verdict.APPROVE
+    assert case.approvals[0].approval.verdict is ApprovalVerdict.APPROVE
 
 
 def test_outcomes_and_decisions_have_no_truth_value() -> None:

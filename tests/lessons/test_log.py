@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from authguard_r.audit.record import Record, read_record
-from authguard_r.audit.verify import Row, verify_rows
+from authguard_r.audit.verify import LogRow, verify_rows
 from authguard_r.auditor.export_format import note_line, row_line
 from authguard_r.cli import call
 from authguard_r.core.errors import AuthGuardError, MalformedError, StoreError
@@ -39,7 +39,7 @@ class Desk:
         self.log: Genuine = genuine(24, 5)
 
     def verify(
-        self, rows: tuple[Row, ...], *options: str, noted: bool = True
+        self, rows: tuple[LogRow, ...], *options: str, noted: bool = True
     ) -> tuple[int, dict[str, Any], str]:
         """Return the exit code, and what is told of an export of these rows, in both ways."""
         path = self._folder / "log.jsonl"

@@ -19,10 +19,10 @@ from authguard_r.audit.verify import verify_rows
 from authguard_r.cli import call
 from authguard_r.core.standing import Outcome
 from authguard_r.enforcement.signed_orders import Verb
-from authguard_r.integrations.tools.server import Answer
-from authguard_r.normalize.expected import TEXT, Match
+from authguard_r.integrations.tools.server import ToolAnswer
+from authguard_r.normalize.expected import TEXT, AnswerMatch
 from authguard_r.store.sqlite import read_rows
-from authguard_r.wire.messages import Act, ClientRole
+from authguard_r.wire.messages import ClientRole, OrderKind
 from fixtures import scenarios
 from unit.server.demo_site import GO, House, Refused
 from unit.server.test_desk import order
@@ -80,14 +80,14 @@ def test_l24_an_older_order_undoes_nothing_that_was_signed_after_it() -> None:
         house.advance(50)
         house.stop(ClientRole.OPERATOR, 1)
         with pytest.raises(Refused, match="ORDER_TOO_OLD"):
-            order(house, Act.COMMAND, before)
+            order(house, OrderKind.COMMAND, before)
         late = [house.order(verb) for verb in (Verb.SUSPEND, Verb.COMPLETE, Verb.REVOKE)]
         house.advance(50)
-        answer = order(house, Act.COMMAND, house.order(Verb.RESUME))
+        answer = order(house, OrderKind.COMMAND, house.order(Verb.RESUME))
         assert answer["standing"]["status"] == "active"
         for token in late:
             with pytest.raises(Refused, match="ORDER_TOO_OLD"):
-                order(house, Act.COMMAND, token)
+                order(house, OrderKind.COMMAND, token)
 
 
 def test_l25_what_was_refused_on_a_full_disk_is_in_the_log_after_a_clean_stop(full: Full) -> None:
@@ -150,12 +150,17 @@ def test_l29_a_failure_in_a_success_envelope_has_failed() -> None:
     """Success is declared and matched, never assumed."""
 
     async def drive(text: str, **demand: Any) -> Outcome | None:
-        robot = Robot(navigate_to=[Answer(is_error=False, text=text)], say=[Answer(is_error=False)])
+        robot = Robot(
+            navigate_to=[ToolAnswer(is_error=False, text=text)], say=[ToolAnswer(is_error=False)]
+        )
         flight = body_of(robot, "say", moves=demand).begin(DRIVE, TICKET)
         await until(lambda: flight.outcome() is not None)
         return flight.outcome()
 
-    landed, unarmed = {TEXT: Match(starts_with="landed")}, {TEXT: Match(contains="not armed")}
+    landed, unarmed = (
+        {TEXT: AnswerMatch(starts_with="landed")},
+        {TEXT: AnswerMatch(contains="not armed")},
+    )
     for text, demand, ended in (
         ("failed: not armed", {"succeeds": landed}, Outcome.FAILED),
         ("failed: not armed", {"fails": unarmed}, Outcome.FAILED),

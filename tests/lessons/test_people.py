@@ -12,7 +12,7 @@ import pytest
 
 from authguard_r.approvals import open_approval
 from authguard_r.client.approvals import shown, signed_answer
-from authguard_r.core.approval import Verdict
+from authguard_r.core.approval import ApprovalVerdict
 from authguard_r.core.errors import AuthenticityError
 from authguard_r.core.quantities import Now
 from authguard_r.enforcement.json_views import told_json
@@ -21,7 +21,7 @@ from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.disclosure import Disclosure
 from fixtures import approvals
-from missionpair.bench import Bench, Scene, make_bench, propose
+from missionpair.bench import Bench, BenchScene, make_bench, propose
 
 WORDS = "zebra-quarantine-told-by-nurse"
 
@@ -52,7 +52,7 @@ def test_l5_an_answer_is_somebodys_for_these_arguments_once_and_never_the_reques
 def test_l5_an_approvers_words_reach_the_log_and_no_planner(bench: Bench) -> None:
     scene = approvals.scene(bench, "isolation-room")
     approvals.outcome(scene)
-    denied = approvals.approval(scene, verdict=Verdict.DENY)
+    denied = approvals.approval(scene, verdict=ApprovalVerdict.DENY)
     scene.sim.gate.management.approve(approvals.signed(bench, denied, "supervisor-1"), why=WORDS)
     report = propose(scene)[-1]
     for level in Disclosure:
@@ -81,7 +81,7 @@ def test_l20_what_is_shown_is_what_is_signed(bench: Bench) -> None:
     approvals.outcome(scene)
     (question,) = approvals.questions(scene).told(None).requests
     signer = folder_signer(bench.folder, "supervisor-1")
-    order = signed_answer(question, Verdict.APPROVE, signer)
+    order = signed_answer(question, ApprovalVerdict.APPROVE, signer)
     now = Now(bench.start_ms, 0)
     opened = open_approval(order.token, verifier=read_trust(bench.folder), now=now).approval
     assert (opened.scope, opened.situation) == (question.scope, question.situation)
@@ -116,7 +116,7 @@ def test_l33_a_denial_closes_the_request_whatever_becomes_of_who_denied(
     approvals.outcome(scene)
     denier = approvals.key_of(bench.folder, "supervisor-7", Role.SUPERVISOR, days=1)
     approvals.hand_in(bench, scene, "supervisor-1")
-    approvals.hand_in(bench, scene, denier, verdict=Verdict.DENY)
+    approvals.hand_in(bench, scene, denier, verdict=ApprovalVerdict.DENY)
     if ends == "revoked":
         approvals.revoke(bench.folder, scene, denier)
     else:
@@ -142,7 +142,7 @@ def test_l34_an_answer_to_what_is_over_says_so_and_is_logged_once(
 ) -> None:
     mission = bench.mission(approvals.draft(bench, "isolation-room"))
     store = tmp_path / "robot.db"
-    scene = Scene(
+    scene = BenchScene(
         sim=bench.simulation(store=store), mission=mission, plan=approvals.plan("isolation-room")
     )
     scene.sim.gate.management.activate(bench.sign(mission))

@@ -17,7 +17,7 @@ from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.standing import Outcome
 from authguard_r.enforcement.leases import Running
 from authguard_r.estop.run_folder import FIRST_SPOOL, PID, SOCKET, is_served
-from authguard_r.estop.supervisor import LaneKeeper
+from authguard_r.estop.supervisor import EStopSupervisor
 from authguard_r.normalize import Step
 from authguard_r.provenance.context import ContextLedger
 from authguard_r.server.robot_lock import hold_robot
@@ -67,7 +67,7 @@ def test_l37_a_machine_that_activates_a_mission_ends_no_persons_stop() -> None:
 
 def test_l38_no_stop_process_outlives_the_gate_that_ends_last() -> None:
     files = estop_fixtures.files()
-    killed, last = LaneKeeper(files), LaneKeeper(files)
+    killed, last = EStopSupervisor(files), EStopSupervisor(files)
     killed.start()  # and never ended: its gate was killed
     last.start()
     assert is_served(files.run / SOCKET)

@@ -32,7 +32,7 @@ if GIVEN.get("coverage"):
     process_startup()
 
 from authguard_r.core.errors import AuthGuardError  # noqa: E402
-from authguard_r.integrations.functions import Guard, NotDone, turns  # noqa: E402
+from authguard_r.integrations.functions import GateGuard, NotDone, turns  # noqa: E402
 from authguard_r.integrations.functions.inspect import authguard, guard_tools  # noqa: E402
 
 CALLS = Path(GIVEN["calls"])
@@ -95,7 +95,7 @@ class Source:
         return []
 
 
-def refused_at_set_up(guard: Guard) -> list[str]:
+def refused_at_set_up(guard: GateGuard) -> list[str]:
     """Return why each tool that runs elsewhere cannot be guarded."""
     other = react(name="other", description="It.", tools=[])
     odd: list[Any] = [
@@ -114,7 +114,7 @@ def refused_at_set_up(guard: Guard) -> list[str]:
     return said
 
 
-async def released(guard: Guard) -> list[str]:
+async def released(guard: GateGuard) -> list[str]:
     """Ask for a registered tool without a call of Inspect's."""
     try:
         await guard.acall("scan", {})
@@ -148,7 +148,7 @@ async def directly(tools: list[Any]) -> list[str]:
     return said
 
 
-def evaluate(guard: Guard) -> dict[str, Any]:
+def evaluate(guard: GateGuard) -> dict[str, Any]:
     raw = [explained() if GIVEN.get("explained") else navigate_to(), scan()]
     tools = guard_tools(guard, [raw[0], ToolDef(raw[1])])
     if GIVEN.get("directly"):
@@ -196,7 +196,7 @@ def evaluate(guard: Guard) -> dict[str, Any]:
 
 def main() -> None:
     turns.BEGIN_S = GIVEN.get("begin_s", turns.BEGIN_S)
-    with Guard.connect(**GIVEN["gate"]) as guard:
+    with GateGuard.connect(**GIVEN["gate"]) as guard:
         if GIVEN.get("odd"):
             found: dict[str, Any] = {"said": refused_at_set_up(guard)}
         else:

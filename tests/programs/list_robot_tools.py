@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from authguard_r.core.errors import MalformedError
-from authguard_r.integrations.functions import Guard
+from authguard_r.integrations.functions import GateGuard
 from authguard_r.integrations.functions.langchain import GuardedTool, guard_tools
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples" / "adapters"))
@@ -42,7 +42,7 @@ def main() -> None:
     example = import_module(name)
     connector = example.ROS2Connector() if name == "rai_courier" else None
     guarded, refused = [], {}
-    with Guard.connect(**given) as guard:
+    with GateGuard.connect(**given) as guard:
         for tool in EVERY[name](example, connector):
             try:
                 (made,) = guard_tools(guard, [tool])
@@ -51,7 +51,7 @@ def main() -> None:
             else:
                 assert isinstance(made, GuardedTool)
                 guarded.append(made.name)
-    with Guard.connect(**given) as guard:
+    with GateGuard.connect(**given) as guard:
         tools = AGENT[name](example, guard, connector)
         assert all(isinstance(tool, GuardedTool) for tool in tools)
         names = sorted(tool.name for tool in tools)

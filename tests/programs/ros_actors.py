@@ -39,7 +39,7 @@ from authguard_r.integrations.ros.nodes.actuator import Actuator
 from authguard_r.integrations.ros.nodes.deadman import Deadman
 from authguard_r.integrations.ros.nodes.heartbeat import (
     Heartbeat,
-    Told,
+    PublisherEvent,
     actuation_qos,
     gate_heartbeat,
     steady,
@@ -167,7 +167,7 @@ class Base:
         self.told: tuple[object, object] = (None, None)
         self.fails = False
         topic = ros.mediated["move"].private
-        told = Told(events="no-events" not in words, ids="no-ids" not in words)
+        told = PublisherEvent(events="no-events" not in words, ids="no-ids" not in words)
         self.actuator = Actuator(node, topic, self.drive, told=told)
         obey(node, {"stick": hang, "fail": lambda: setattr(self, "fails", True)})
 
@@ -291,7 +291,7 @@ class Blind:
     """A dead-man that hears nothing of what DDS says of publishers."""
 
     def __init__(self, node: Node, ros: RosMap) -> None:
-        self.deadman = Deadman(node, ros, told=Told(events=False))
+        self.deadman = Deadman(node, ros, told=PublisherEvent(events=False))
 
 
 ROLES: dict[str, Callable[..., object]] = {

@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from authguard_r.core.approval import Approval, VerifiedApproval
-from authguard_r.core.approval import Verdict as Answer
+from authguard_r.core.approval import ApprovalVerdict as Answer
 from authguard_r.core.decision import Verdict
 from authguard_r.core.reasons import DECIDED
 from authguard_r.core.standing import ApprovalRequest

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from authguard_r.core.errors import AuthenticityError, MalformedError, RefusedError
 from authguard_r.frost import signing
-from authguard_r.frost.messages import Commitment, Group, Offer, SignatureShare, read
+from authguard_r.frost.messages import Group, NonceCommitment, Offer, SignatureShare, read
 from fixtures.threshold_groups import (
     dealt,
     finished,
@@ -87,7 +87,7 @@ def test_a_group_without_a_dealer_signs_like_a_dealt_one(chosen: Drawn, message:
 
 
 @settings(max_examples=200)
-@given(st.binary(max_size=300), st.sampled_from([Group, Offer, Commitment, SignatureShare]))
+@given(st.binary(max_size=300), st.sampled_from([Group, Offer, NonceCommitment, SignatureShare]))
 def test_any_bytes_at_all_are_read_or_malformed(data: bytes, kind: type[msgspec.Struct]) -> None:
     with pytest.raises(MalformedError):
         read(data, kind, where="file")

@@ -15,7 +15,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import Bundle, RuleBasedStateMachine, consumes, invariant, rule
 
-from authguard_r.server.fair_queue import MOST_SHED, MOST_WAITING, Client, Ring
+from authguard_r.server.fair_queue import MOST_SHED, MOST_WAITING, FairQueue, ServedClient
 from authguard_r.wire.frames import Frame, raw_frame
 from authguard_r.wire.messages import BOUND, ClientRole, Kind
 from fixtures.gate_fixtures import Door, Noted, enter, settle
@@ -30,13 +30,13 @@ class Hall(Noted):
     def __init__(self) -> None:
         super().__init__()
         self.shed: list[str] = []
-        self.ring = Ring(lambda client: self.shed.append(client.name))
-        self.open: dict[Client, int] = {}
+        self.ring = FairQueue(lambda client: self.shed.append(client.name))
+        self.open: dict[ServedClient, int] = {}
 
-    def came(self, client: Client, item: Frame, *, alone: bool) -> None:
+    def came(self, client: ServedClient, item: Frame, *, alone: bool) -> None:
         self.ring.came(client, item)
 
-    def reads(self, client: Client) -> None:
+    def reads(self, client: ServedClient) -> None:
         self.ring.reads(client)
 
     def turn(self) -> list[tuple[str, Kind, int]]:
@@ -52,7 +52,7 @@ class Hall(Noted):
                 client.reply(item.id, {})
         return served
 
-    def finish(self, client: Client) -> None:
+    def finish(self, client: ServedClient) -> None:
         """Answer the client's proposal."""
         client.reply(self.open.pop(client), {})
         self.ring.done(client)
@@ -61,7 +61,7 @@ class Hall(Noted):
 class Guest:
     """A client as the model knows it."""
 
-    def __init__(self, door: Door, client: Client, role: str) -> None:
+    def __init__(self, door: Door, client: ServedClient, role: str) -> None:
         self.door, self.client, self.role = door, client, role
         self.number = 0
         self.waiting: list[tuple[Kind, int]] = []

@@ -24,7 +24,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 import authguard_reference as oracle
 from authguard_r.authoring.keys.setup import read_authority, write_revocations
 from authguard_r.core.action import Action
-from authguard_r.core.approval import Approval, Verdict
+from authguard_r.core.approval import Approval, ApprovalVerdict
 from authguard_r.core.encoding import Tag, b64, digest_of
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import Digest, Identifier
@@ -37,7 +37,7 @@ from authguard_r.keys.signer import folder_signer
 from authguard_r.normalize import Step
 from authguard_r.provenance.context import ContextLedger
 from authguard_r.store.issued_missions import registered
-from authguard_r.store.transactions import Act
+from authguard_r.store.transactions import Transaction
 from authguard_reference.approval import fits, scope_of, situation_of
 from authguard_reference.place import guard_finding
 from authguard_reference.policy import instant_ms
@@ -46,7 +46,7 @@ from authguard_reference.standing import STATUS_REFUSAL
 from fixtures import scenarios
 from fixtures.decision_cases import plain, plain_facts
 from fixtures.restarting_gate import Station, go, signer, way
-from missionpair.bench import Bench, Scene, make_bench
+from missionpair.bench import Bench, BenchScene, make_bench
 
 Json = dict[str, Any]
 FACTS = plain_facts(scenarios.facts())
@@ -117,7 +117,7 @@ def fresh_standing(name: str, version: int) -> Json:
     return {"mid": name, "version": version, "digest": digest, "rid": scenarios.RID}
 
 
-def status_of(name: str, version: int, act: Act) -> str | None:
+def status_of(name: str, version: int, act: Transaction) -> str | None:
     """Return the registry's status of exactly this version."""
     found = registered(act, name, digest_of(Tag.MISSION, mission(name, version)))  # type: ignore[arg-type]
     return None if found is None else str(found.status)
@@ -668,9 +668,9 @@ class Life(RuleBasedStateMachine):
         for _, request in sorted(standing.get("requests", {}).items()):
             people = APPROVERS[: request["required"] - 1 - (between == "one fewer")]
             for person in people:
-                self._answer(standing, request, person, Verdict.APPROVE)
+                self._answer(standing, request, person, ApprovalVerdict.APPROVE)
             if between == "denied":
-                self._answer(standing, request, APPROVERS[2], Verdict.DENY)
+                self._answer(standing, request, APPROVERS[2], ApprovalVerdict.DENY)
         if between == "late" and self.running is None:
             self.here.jump(121_000)
         if between == "restart":
@@ -729,10 +729,10 @@ class Life(RuleBasedStateMachine):
     @precondition(lambda self: any(s.get("requests") for s in self.model.registry.values()))
     @rule(
         by=st.sampled_from([*APPROVERS, *APPROVERS, "operator-1", "operator-2"]),
-        verdict=st.sampled_from([Verdict.APPROVE] * 4 + [Verdict.DENY]),
+        verdict=st.sampled_from([ApprovalVerdict.APPROVE] * 4 + [ApprovalVerdict.DENY]),
         pick=st.integers(0, 9),
     )
-    def answer(self, by: str, verdict: Verdict, pick: int) -> None:
+    def answer(self, by: str, verdict: ApprovalVerdict, pick: int) -> None:
         asking = [
             (standing, request)
             for standing in self.model.registry.values()
@@ -740,7 +740,7 @@ class Life(RuleBasedStateMachine):
         ]
         self._answer(*asking[pick % len(asking)], by, verdict)
 
-    def _answer(self, standing: Json, request: Json, by: str, verdict: Verdict) -> None:
+    def _answer(self, standing: Json, request: Json, by: str, verdict: ApprovalVerdict) -> None:
         grant = next(name for name, known in standing["requests"].items() if known == request)
         value = Approval(
             mid=standing["mid"],
@@ -859,7 +859,7 @@ def test_a_mission_that_is_activated_under_an_operators_stop_is_suspended() -> N
     assert life.model.registry["two"]["status"] == "active"
 
 
-def revoke(bench: Bench, scene: Scene, name: str) -> None:
+def revoke(bench: Bench, scene: BenchScene, name: str) -> None:
     """Revoke a principal, and let the gate have the new list."""
     leaf = x509.load_der_x509_certificate(folder_signer(bench.folder, name).chain[0])
     authority = read_authority(bench.folder, "people")
@@ -876,7 +876,7 @@ def test_an_outcome_under_a_version_whose_signer_was_revoked_completes_nothing(
 ) -> None:
     """It is recorded and counts; whether all is done, nobody can say any more."""
     bench = make_bench(tmp_path / "trust")
-    scene = Scene(sim=bench.simulation(), mission=mission("one", 1), plan=b"")
+    scene = BenchScene(sim=bench.simulation(), mission=mission("one", 1), plan=b"")
     gate, robot = scene.sim.gate, scene.sim.robot
     gate.management.activate(bench.sign(mission("one", 1)))
     running = gate.enforcer.submit(

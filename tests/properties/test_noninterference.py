@@ -36,7 +36,7 @@ from hypothesis.stateful import (
 import authguard_reference as oracle
 from authguard_r.approvals import Selection
 from authguard_r.authoring.keys.setup import demo_members, init_folder
-from authguard_r.core.approval import Approval, Verdict
+from authguard_r.core.approval import Approval, ApprovalVerdict
 from authguard_r.core.encoding import Tag, digest_of, encode
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.lifecycle import Status
@@ -164,7 +164,7 @@ def objects(kind: str) -> tuple[Tag, Any]:
             situation=DIGEST,
             counter=1,
             expires_ms=far,
-            verdict=Verdict.APPROVE,
+            verdict=ApprovalVerdict.APPROVE,
             **version,
         )
         return Tag.APPROVAL, made

@@ -17,7 +17,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from authguard_r.core.approval import Verdict
+from authguard_r.core.approval import ApprovalVerdict
 from authguard_r.core.checks.people import MOST_NEEDS, fewest_people, people_behind
 from authguard_r.core.identifiers import PrincipalId
 from authguard_r.core.principals import Principal
@@ -28,7 +28,7 @@ from authguard_reference.people import people_behind as behind_of_reference
 from fixtures import approvals, scenarios
 from fixtures.amount import amount
 from fixtures.decision_cases import plain
-from missionpair.bench import Bench, Scene, make_bench
+from missionpair.bench import Bench, BenchScene, make_bench
 
 RELAXED = settings(database=None, derandomize=True, suppress_health_check=list(HealthCheck))
 SEEDS = st.integers(min_value=0, max_value=2**63)
@@ -161,14 +161,14 @@ class Answers:
         if self.rnd.random() < 0.5:
             members = tuple(self.rnd.sample(PEOPLE, self.rnd.randint(1, 4)))
             self.issuer = principal("duty-officers", self.rnd.randint(1, len(members)), members)
-            self.scene: Scene = approvals.scene_of_group(
+            self.scene: BenchScene = approvals.scene_of_group(
                 self.bench, *members, threshold=self.issuer.threshold, **risk
             )
         else:
             self.scene = approvals.scene(self.bench, "isolation-room", **risk)
         assert approvals.outcome(self.scene) == ["APPROVAL_REQUIRED"]
 
-    def answers(self, verdict: Verdict) -> None:
+    def answers(self, verdict: ApprovalVerdict) -> None:
         number = len(self.given)
         who = somebody(self.rnd, f"board-{number}", unknown=0)
         names = tuple(who.members)
@@ -177,7 +177,7 @@ class Answers:
         )
         value = approvals.approval(self.scene, verdict=verdict)
         self.scene.sim.gate.management.approve(approvals.signed(self.bench, value, key))
-        if verdict is Verdict.APPROVE:
+        if verdict is ApprovalVerdict.APPROVE:
             self.given.append((who, key))
         else:
             self.denied = True
@@ -212,7 +212,7 @@ def test_a_gate_releases_what_enough_people_approve_whoever_is_revoked_in_betwee
         rnd = Random(seed)
         here = Answers(bench, rnd, revoked)
         for _ in range(rnd.randint(1, 6)):
-            here.answers(Verdict.DENY if rnd.random() < 0.06 else Verdict.APPROVE)
+            here.answers(ApprovalVerdict.DENY if rnd.random() < 0.06 else ApprovalVerdict.APPROVE)
             if here.gone or rnd.random() < 0.2:
                 revoked.append(approvals.key_of(bench.folder, "nobody", Role.SUPERVISOR))
                 here.revokes()

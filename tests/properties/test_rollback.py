@@ -14,14 +14,14 @@ from hypothesis import settings
 from hypothesis.stateful import Bundle, RuleBasedStateMachine, invariant, rule
 from hypothesis.strategies import sampled_from
 
-from authguard_r.anchoring.anchor import Anchor, read_counter
+from authguard_r.anchoring.anchor import StoreAnchor, read_counter
 from authguard_r.audit.record import Entry
 from authguard_r.core.errors import EnvironmentFault, RefusedError
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
 from authguard_r.store.memory import MemoryStore
-from authguard_r.store.transactions import Act, Ledger
+from authguard_r.store.transactions import Ledger, Transaction
 from fixtures import scenarios
 
 
@@ -101,7 +101,7 @@ class Rollbacks(RuleBasedStateMachine):
             inputs={"site": "here"},
             since_ms=reading.time_ms,
         )
-        anchor = Anchor(
+        anchor = StoreAnchor(
             ledger, robot=scenarios.RID, counter=self.outside, signer=self.signer, reading=reading
         )
         self.ledger, self.anchor = ledger, anchor
@@ -132,7 +132,7 @@ class Rollbacks(RuleBasedStateMachine):
         self.counted = links[:size]
 
     def commit(self, number: int = 0) -> None:
-        def job(act: Act) -> None:
+        def job(act: Transaction) -> None:
             entry = Entry(kind="alert", time_ms=act.now.utc_ms, decision="x", open={"n": number})
             act.record(entry)
 

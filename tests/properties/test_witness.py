@@ -15,7 +15,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 
 from authguard_r.audit.note import read_key
 from authguard_r.core.errors import AuthGuardError
-from authguard_r.witness.service import Answer, Witness, forget, open_witness, register
+from authguard_r.witness.service import Witness, WitnessResponse, forget, open_witness, register
 from authguard_r.witness.state import read_folder
 from fixtures.witness_process import NOW_S, ORIGIN, Log, attested, make, request
 
@@ -43,7 +43,7 @@ class Witnessing(RuleBasedStateMachine):
         self.signed: list[tuple[int, bytes]] = []
         self.is_known = True
 
-    def ask(self, log: Log, body: bytes, size: int) -> Answer:
+    def ask(self, log: Log, body: bytes, size: int) -> WitnessResponse:
         answer = self.witness.answer(body, NOW_S)
         if answer.status == 200:
             assert attested(log, answer.body, self.key, size).time_s == NOW_S

@@ -42,11 +42,11 @@ from std_msgs.msg import UInt8
 from std_srvs.srv import Empty, Trigger
 from test_msgs.action import Fibonacci
 
-from authguard_r.client.link import Log
+from authguard_r.client.link import ProcessLog
 from authguard_r.integrations.ros.map import parse_map
-from authguard_r.integrations.ros.names import Part
+from authguard_r.integrations.ros.names import TypePart
 from authguard_r.integrations.ros.nodes.heartbeat import steady
-from authguard_r.integrations.ros.nodes.mediator import Mediator, Place, mediating
+from authguard_r.integrations.ros.nodes.mediator import Mediator, MediatorTarget, mediating
 from authguard_r.integrations.ros.nodes.values import load_type
 from authguard_r.integrations.tools.files import given_binding
 from authguard_r.keys.trust import read_trust
@@ -389,7 +389,7 @@ class Planner(Peer):
         for found, types in self.node.get_service_names_and_types():
             action, is_one, _ = found.rpartition("/_action/get_result")
             if is_one and action.startswith(side):
-                kind = load_type(types[0].removesuffix("_GetResult"), Part.ACTION)
+                kind = load_type(types[0].removesuffix("_GetResult"), TypePart.ACTION)
                 return self._ask_of_nothing(kind.Impl.GetResultService, found)
         return None
 
@@ -488,10 +488,10 @@ class Graph:
         assert self.process is not None
         return self.process.wait(PATIENCE_S)
 
-    def place(self) -> Place:
+    def place(self) -> MediatorTarget:
         """Return where a node of this process stands."""
         gate, site = self._gate, read_site(self._gate.site)
-        return Place(
+        return MediatorTarget(
             ros=parse_map(self._map(HERE / "map.yaml"), where="map"),
             run=gate.run,
             site=site,
@@ -506,7 +506,7 @@ class Graph:
         place = self.place()
 
         async def live() -> None:
-            async with mediating(place, Log()) as self.mediator:
+            async with mediating(place, ProcessLog()) as self.mediator:
                 begun.set_result(asyncio.get_running_loop())
                 await over.wait()
 

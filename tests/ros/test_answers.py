@@ -25,7 +25,7 @@ from std_srvs.srv import Trigger
 from test_msgs.action import Fibonacci
 from unique_identifier_msgs.msg import UUID
 
-from authguard_r.integrations.ros.nodes.actions import BIND_S, MOST_ASKERS, RESULT_S, _Server
+from authguard_r.integrations.ros.nodes.actions import BIND_S, MOST_ASKERS, RESULT_S, _GoalServer
 from fixtures.gate_process import until
 from ros.graph import PATIENCE_S, Goal, Graph, Peer, Planner, graph_of, next_domain
 from ros.hospital import HERE, hospital
@@ -102,7 +102,7 @@ def test_of_a_crowd_that_asks_for_a_result_the_first_are_told() -> None:
     def take(taken: Any) -> None:
         robot._executor.create_task(server.answer, taken, GoalResponse.ACCEPT)
 
-    server = _Server(
+    server = _GoalServer(
         robot.node,
         Fibonacci,
         "/llm/fibonacci",

@@ -26,7 +26,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from std_msgs.msg import UInt64
 
-from authguard_r.client.link import Log
+from authguard_r.client.link import ProcessLog
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.integrations.ros.latch import MS
 from authguard_r.integrations.ros.map import parse_map
@@ -36,7 +36,7 @@ from authguard_r.integrations.ros.nodes.heartbeat import (
     DEADLINE_MS,
     TURN_MS,
     Heartbeat,
-    Told,
+    PublisherEvent,
     gate_heartbeat,
     listen,
 )
@@ -165,7 +165,7 @@ def test_another_number_is_another_life_though_nobody_was_silent(
 ) -> None:
     life = UInt64(data=1)
     Heartbeat(node, TOPIC, UInt64, lambda: life, still_alive=lambda: True, lapsed=unused)
-    Deadman(node, MAP, told=Told(events=False))
+    Deadman(node, MAP, told=PublisherEvent(events=False))
     said: list[str] = []
 
     def says(words: str) -> bool:
@@ -180,7 +180,7 @@ def test_another_number_is_another_life_though_nobody_was_silent(
 def test_what_a_server_never_answers_is_forgotten(
     node: Node, spin: Callable[[Callable[[], bool]], None]
 ) -> None:
-    asked = Canceler(node, "/stuck", Log())
+    asked = Canceler(node, "/stuck", ProcessLog())
     stuck = node.create_client(CancelGoal, "/stuck/_action/cancel_goal")
     other = bare_node(node.context)  # nobody spins it
     other.create_service(CancelGoal, "/stuck/_action/cancel_goal", lambda _, answer: answer)
@@ -202,7 +202,7 @@ def test_a_server_that_the_graph_hides_is_asked_all_the_same(
         heard.append(request)
         return empty
 
-    asked = Canceler(node, "/count", Log())
+    asked = Canceler(node, "/count", ProcessLog())
     node.create_service(CancelGoal, "/count/_action/cancel_goal", answer)
     spin(asked._client.service_is_ready)
     asked._client.service_is_ready = lambda: False  # type: ignore[method-assign]
@@ -221,7 +221,7 @@ def test_an_answer_to_a_question_from_before_the_loss_settles_nothing(
         heard.append(request)
         return empty
 
-    asked = Canceler(node, "/count", Log())
+    asked = Canceler(node, "/count", ProcessLog())
     node.create_service(CancelGoal, "/count/_action/cancel_goal", answer)
     spin(asked._is_there)
     asked.lose(0)

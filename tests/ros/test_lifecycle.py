@@ -29,12 +29,12 @@ from rclpy.action import ActionClient
 from rosgraph_msgs.msg import Clock
 from test_msgs.action import Fibonacci
 
-from authguard_r.client.link import Log
+from authguard_r.client.link import ProcessLog
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault
 from authguard_r.core.reasons import Reason
 from authguard_r.integrations.ros.map import parse_map
 from authguard_r.integrations.ros.nodes import node, process
-from authguard_r.integrations.ros.nodes.mediator import Place, mediating
+from authguard_r.integrations.ros.nodes.mediator import MediatorTarget, mediating
 from authguard_r.integrations.ros.nodes.process import require_bench, ros_context
 from authguard_r.integrations.tools.endpoints import first_of
 from authguard_r.keys.trust import read_trust
@@ -426,11 +426,11 @@ def test_a_node_that_is_still_being_configured_ends_when_it_is_told_to(
 # without a process
 
 
-def refused(place: Place) -> AuthGuardError:
+def refused(place: MediatorTarget) -> AuthGuardError:
     """Return why a node of this process is not configured."""
 
     async def serve() -> None:
-        async with mediating(place, Log()):
+        async with mediating(place, ProcessLog()):
             pass
 
     with pytest.raises((AuthGuardError, BaseExceptionGroup)) as failed:

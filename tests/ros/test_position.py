@@ -34,7 +34,7 @@ from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
 from authguard_r.client.attesting import since
-from authguard_r.client.link import Log
+from authguard_r.client.link import ProcessLog
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.identifiers import Digest, GrantId
@@ -45,11 +45,11 @@ from authguard_r.integrations.ros.map import parse_map
 from authguard_r.integrations.ros.nodes import estimator
 from authguard_r.integrations.ros.nodes.estimator import Estimate
 from authguard_r.integrations.ros.nodes.heartbeat import ALL
-from authguard_r.integrations.ros.nodes.heartbeat import Told as Without
+from authguard_r.integrations.ros.nodes.heartbeat import PublisherEvent as Without
 from authguard_r.integrations.ros.nodes.localization import Localization
 from authguard_r.integrations.ros.nodes.loop import raised, spun
 from authguard_r.integrations.ros.nodes.process import plain_node, ros_context
-from authguard_r.integrations.ros.position import Fix, Track, Why
+from authguard_r.integrations.ros.position import DoubtCause, Fix, PositionTrack
 from authguard_r.integrations.ros.rights import rights_of
 from authguard_r.keys.envelope import seal
 from authguard_r.keys.signer import folder_signer
@@ -515,15 +515,15 @@ class Ears:
         text = map_with(domain, **position)
         position = parse_map(text, where="map").position
         assert position is not None
-        self.track = Track(max_speed_mm_s=1_500, margin_mm=position.margin_mm)
+        self.track = PositionTrack(max_speed_mm_s=1_500, margin_mm=position.margin_mm)
         self.peer = Peer("authguard_estimator", domain)
-        self.heard = Localization(self.peer.node, position, self.track, Log(), told=told)
+        self.heard = Localization(self.peer.node, position, self.track, ProcessLog(), told=told)
         self.robot: Any = robot(domain)
 
     def sound(self) -> None:
         until(lambda: self.heard.fix, "a position", seconds=20)
 
-    def doubtful(self, why: Why) -> None:
+    def doubtful(self, why: DoubtCause) -> None:
         until(lambda: self.track.why is why, why, seconds=20)
         assert self.heard.fix is None
 
@@ -545,7 +545,7 @@ def test_odometry_that_is_doubtful_is_no_place(
 ) -> None:
     odometry.sound()
     odometry.robot.bend = bend
-    odometry.doubtful(Why(why))
+    odometry.doubtful(DoubtCause(why))
     odometry.robot.bend = None
     odometry.sound()
 
@@ -588,19 +588,19 @@ def no_turn(message: Any) -> None:
 
 
 TRANSFORMS = [
-    (Why.ANOTHER, another_parent_too),
-    (Why.NO_WAY, another_parent),
-    (Why.CYCLE, round_and_round),
-    (Why.TOO_MUCH, crowded),
-    (Why.STILL, frozen),
-    (Why.NOT_FINITE, no_number),
-    (Why.NOT_UNIT, no_turn),
+    (DoubtCause.ANOTHER, another_parent_too),
+    (DoubtCause.NO_WAY, another_parent),
+    (DoubtCause.CYCLE, round_and_round),
+    (DoubtCause.TOO_MUCH, crowded),
+    (DoubtCause.STILL, frozen),
+    (DoubtCause.NOT_FINITE, no_number),
+    (DoubtCause.NOT_UNIT, no_turn),
 ]
 
 
 @pytest.mark.parametrize(("why", "bend"), TRANSFORMS, ids=[one.__name__ for _, one in TRANSFORMS])
 def test_transforms_that_are_doubtful_are_no_place(
-    ears: Ears, why: Why, bend: Callable[[Any], None]
+    ears: Ears, why: DoubtCause, bend: Callable[[Any], None]
 ) -> None:
     ears.sound()
     ears.robot.bend = bend
@@ -621,7 +621,7 @@ def test_what_is_not_on_the_way_may_be_anything(ears: Ears) -> None:
     for _ in until(lambda: ears.robot.sent > sent + 100 and [1], "two seconds of it"):
         assert ears.heard.fix is not None
     ears.robot.bend = lambda message: message.transforms.clear()  # nothing is nothing
-    ears.doubtful(Why.SILENCE)
+    ears.doubtful(DoubtCause.SILENCE)
     ears.robot.bend = None
     ears.sound()
 
@@ -630,7 +630,7 @@ def test_two_publishers_of_one_transform_are_doubtful(ears: Ears) -> None:
     ears.sound()
     other = Turned(ears.robot.node.context.get_domain_id(), name="other")
     try:
-        ears.doubtful(Why.ANOTHER)
+        ears.doubtful(DoubtCause.ANOTHER)
     finally:
         other.close()
     ears.sound()
@@ -642,11 +642,11 @@ def test_what_never_changes_is_said_in_one_way(ears: Ears) -> None:
 
     ears.sound()
     ears.robot.lasting.publish(lasting(0.2))
-    until(lambda: ears.track.why in {Why.ANOTHER, Why.NO_WAY}, "its end", seconds=20)
+    until(lambda: ears.track.why in {DoubtCause.ANOTHER, DoubtCause.NO_WAY}, "its end", seconds=20)
     ears.robot.lasting.publish(lasting(0.1))
     ears.sound()
     ears.robot.lasting.publish(lasting(0.1, 300))
-    ears.doubtful(Why.TOO_MUCH)
+    ears.doubtful(DoubtCause.TOO_MUCH)
     ears.sound()
 
 
@@ -657,7 +657,7 @@ def test_one_publisher_of_odometry_is_believed_where_nobody_says_whose_a_sample_
         ears.sound()
         other = Walker(domain, name="other")
         try:
-            ears.doubtful(Why.UNNAMED)
+            ears.doubtful(DoubtCause.UNNAMED)
         finally:
             other.close()
         ears.sound()
@@ -668,21 +668,21 @@ def test_one_publisher_of_odometry_is_believed_where_nobody_says_whose_a_sample_
 def test_transforms_are_not_believed_where_nobody_says_whose_a_sample_is() -> None:
     ears = Ears(next_domain(), Turned, Without(ids=False))
     try:
-        ears.doubtful(Why.UNNAMED)
+        ears.doubtful(DoubtCause.UNNAMED)
     finally:
         ears.close()
 
 
 def test_an_rclpy_that_does_not_say_who_published_is_not_believed(ears: Ears) -> None:
     ears.robot.is_silent = True
-    ears.doubtful(Why.SILENCE)
+    ears.doubtful(DoubtCause.SILENCE)
     for hear, message in (
         (ears.heard._odometry, Odometry()),
         (ears.heard._transforms, TFMessage()),
     ):
-        ears.track.doubt(Why.START)
+        ears.track.doubt(DoubtCause.START)
         ears.heard._take(hear, message, {})
-        assert ears.track.why is Why.UNNAMED
+        assert ears.track.why is DoubtCause.UNNAMED
     ears.robot.is_silent = False
     ears.sound()
 

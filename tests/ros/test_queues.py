@@ -18,7 +18,7 @@ import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
 
-from authguard_r.integrations.ros.nodes.inbox import Inbox
+from authguard_r.integrations.ros.nodes.inbox import ThreadInbox
 from authguard_r.integrations.ros.nodes.loop import MOST_WAITING, Spinner
 from ros.graph import next_domain
 
@@ -78,7 +78,7 @@ def test_of_more_than_may_wait_each_is_told_so_at_once_and_the_rest_are_served()
 def test_a_queue_keeps_so_many_and_no_more(is_newest: bool, kept: list[int], shed: int) -> None:
     async def flood() -> None:
         async with spinning() as spinner:
-            inbox: Inbox[int] = Inbox(spinner, 3, is_newest=is_newest)
+            inbox: ThreadInbox[int] = ThreadInbox(spinner, 3, is_newest=is_newest)
             await spinner.do(lambda: [inbox.put(number) for number in range(10)])
             assert [await inbox.take() for _ in range(3)] == kept
             assert inbox.shed() == shed

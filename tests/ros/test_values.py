@@ -21,7 +21,7 @@ from test_msgs.action import Fibonacci
 import ros.graph  # noqa: F401 - its imports first: they warn
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.core.reasons import Reason
-from authguard_r.integrations.ros.names import Part
+from authguard_r.integrations.ros.names import TypePart
 from authguard_r.integrations.ros.nodes.values import (
     MAX_VALUES,
     load_type,
@@ -48,7 +48,7 @@ EVERY = (
 
 @pytest.mark.parametrize("name", EVERY)
 def test_a_message_that_was_read_and_made_again_is_the_same(name: str) -> None:
-    kind = load_type(f"test_msgs/msg/{name}", Part.MESSAGE)
+    kind = load_type(f"test_msgs/msg/{name}", TypePart.MESSAGE)
     plain = plain_of(kind())
     assert message_of(kind, plain) == kind()
     assert plain_of(message_of(kind, plain)) == plain
@@ -145,20 +145,20 @@ def test_every_word_is_found_in_bytes_too() -> None:
 @pytest.mark.parametrize(
     ("kind", "part"),
     [
-        (msg.WStrings, Part.MESSAGE),
-        (SimpleNamespace(Goal=msg.WStrings, Result=msg.Empty), Part.ACTION),
-        (SimpleNamespace(Request=msg.WStrings, Response=msg.Empty), Part.SERVICE),
+        (msg.WStrings, TypePart.MESSAGE),
+        (SimpleNamespace(Goal=msg.WStrings, Result=msg.Empty), TypePart.ACTION),
+        (SimpleNamespace(Request=msg.WStrings, Response=msg.Empty), TypePart.SERVICE),
     ],
 )
-def test_l3_a_wide_string_is_nothing_that_a_planner_sends(kind: Any, part: Part) -> None:
+def test_l3_a_wide_string_is_nothing_that_a_planner_sends(kind: Any, part: TypePart) -> None:
     """Units that are no character end the thread that takes them, before anybody could refuse."""
     with pytest.raises(MalformedError, match="wstring"):
         require_narrow(kind, part, where="mediated.it.type")
     answers = SimpleNamespace(Request=msg.Empty, Response=msg.WStrings)  # the robot's own word
     for narrow, of in (
-        (msg.MultiNested, Part.MESSAGE),
-        (Fibonacci, Part.ACTION),
-        (answers, Part.SERVICE),
+        (msg.MultiNested, TypePart.MESSAGE),
+        (Fibonacci, TypePart.ACTION),
+        (answers, TypePart.SERVICE),
     ):
         require_narrow(narrow, of, where="mediated.it.type")
 
@@ -166,10 +166,10 @@ def test_l3_a_wide_string_is_nothing_that_a_planner_sends(kind: Any, part: Part)
 @pytest.mark.parametrize("name", ["no_msgs/msg/Thing", "std_msgs/msg/Nothing"])
 def test_a_type_that_is_not_installed_is_an_error_at_the_start(name: str) -> None:
     with pytest.raises(EnvironmentFault, match="to be installed"):
-        load_type(name, Part.MESSAGE)
+        load_type(name, TypePart.MESSAGE)
 
 
 @pytest.mark.parametrize("name", ["std_msgs/msg/../x", "os/msg/path", "std_msgs/srv/String", ""])
 def test_what_is_no_types_name_is_never_imported(name: str) -> None:
     with pytest.raises((MalformedError, EnvironmentFault)):
-        load_type(name, Part.MESSAGE)
+        load_type(name, TypePart.MESSAGE)

@@ -13,7 +13,7 @@ pytest.importorskip("rclpy", reason="needs ROS 2 (tests/ros/make.sh makes an env
 
 from geometry_msgs.msg import Twist
 
-from authguard_r.integrations.ros.nodes.velocity import StreamOutlet
+from authguard_r.integrations.ros.nodes.velocity import StreamClientProxy
 from authguard_r.site.model import Profile
 from fixtures.gate_process import until
 from ros.graph import Peer, next_domain
@@ -44,7 +44,7 @@ def test_a_velocity_that_is_being_repeated_goes_out_before_the_zero_that_ends_it
         brake_mm_s2=1_000,
         reaction_ms=20,
     )
-    outlet = StreamOutlet(robot, Twist, "/cmd_vel", profile)
+    outlet = StreamClientProxy(robot, Twist, "/cmd_vel", profile)
     moving = Twist()
     moving.linear.x = 0.2
     until(lambda: outlet._turned_ms, "the thread of ROS")

@@ -33,7 +33,7 @@ from std_msgs.msg import Float64, String, UInt8MultiArray, UInt64
 
 from authguard_r.access.gate_config import Peer as User
 from authguard_r.client import GateClient
-from authguard_r.client.link import Log
+from authguard_r.client.link import ProcessLog
 from authguard_r.client.reconnecting import GatePlace
 from authguard_r.core.encoding import Tag, digest
 from authguard_r.core.errors import MalformedError
@@ -248,7 +248,7 @@ def test_whatever_a_hostile_planner_writes_is_refused_and_the_next_plan_is_serve
     [b"", b"\0\1\0\0", b"\7\7" + text_as(b"x")[2:], text_as(b"x")[:-1], text_as(b"x")[:-1] + b"y"],
 )
 def test_what_is_no_text_of_dds_is_none(data: bytes) -> None:
-    heard = text_plans.Heard(data, is_whole=True)
+    heard = text_plans.ReceivedText(data, is_whole=True)
     with pytest.raises(MalformedError):
         text_plans.text_of(heard)
     assert text_plans.id_of(heard) == hashlib.sha256(data[8:]).hexdigest()
@@ -256,8 +256,11 @@ def test_what_is_no_text_of_dds_is_none(data: bytes) -> None:
 
 def test_numbers_are_read_in_the_order_in_which_they_were_written() -> None:
     big = b"\0\0\0\0" + struct.pack(">I", 3) + b"hi\0"
-    assert text_plans.text_of(text_plans.Heard(big, is_whole=True)) == b"hi"
-    assert text_plans.text_of(text_plans.Heard(text_as(b"hi") + b"\0\0", is_whole=True)) == b"hi"
+    assert text_plans.text_of(text_plans.ReceivedText(big, is_whole=True)) == b"hi"
+    assert (
+        text_plans.text_of(text_plans.ReceivedText(text_as(b"hi") + b"\0\0", is_whole=True))
+        == b"hi"
+    )
 
 
 def ends(writers: tuple[Writer, ...], texts: list[str]) -> int:
@@ -555,7 +558,7 @@ def test_decisions_that_come_too_fast_are_dropped_and_counted(
 
     async def flood() -> tuple[list[Any], int]:
         spinner = Spinner(writer.node, lambda _: None)
-        public = Public(spinner=spinner, group=writer.group, proposals=None, log=Log())
+        public = Public(spinner=spinner, group=writer.group, proposals=None, log=ProcessLog())
         made = decisions.Decisions(public, place, "/authguard/decisions", Decision)
         made.take({"event": "client"})
         made.take({**event, "time_ms": 1 << 62})  # no time that a message can say
@@ -582,7 +585,7 @@ def test_decisions_that_come_too_fast_are_dropped_and_counted(
     assert messages[-1].stamp.nanosec == 500_000_000
 
 
-SEEN = diagnostics.Seen(
+SEEN = diagnostics.ReportedStatus(
     connected=True,
     lane=True,
     answers=True,
@@ -636,7 +639,7 @@ def test_work_that_fails_is_said_and_begun_again(capsys: pytest.CaptureFixture[s
             await asyncio.Event().wait()
 
     async def live() -> None:
-        task = asyncio.create_task(status_publishers.kept(work, Log()))
+        task = asyncio.create_task(status_publishers.kept(work, ProcessLog()))
         await asyncio.to_thread(until, lambda: len(begun) == 3, "the third time")
         task.cancel()
 

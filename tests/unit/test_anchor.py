@@ -11,8 +11,8 @@ from typing import Any
 import msgspec
 import pytest
 
-from authguard_r.anchoring.anchor import Anchor, Reading, Why, read_counter
-from authguard_r.anchoring.counter import Counted, FileCounter, open_note, seal
+from authguard_r.anchoring.anchor import CounterReading, Discrepancy, StoreAnchor, read_counter
+from authguard_r.anchoring.counter import CounterNote, FileCounter, open_note, seal
 from authguard_r.audit.record import read_record
 from authguard_r.authoring.keys.setup import Member, demo_members, init_folder
 from authguard_r.core.encoding import Tag, b64, digest_of
@@ -74,7 +74,7 @@ class Robot:
     def put_back(self) -> None:
         shutil.copy(self.kept, self.store)
 
-    def note(self) -> Counted:
+    def note(self) -> CounterNote:
         data = self.counter.read_bytes()
         return open_note(data, verifier=read_trust(scenarios.trust_folder()))
 
@@ -289,7 +289,7 @@ def test_a_counter_that_cannot_be_written_at_the_start_or_the_end_hinders_nobody
 
 def test_a_store_that_was_put_back_is_caught_and_refuses(robot: Robot) -> None:
     made, sim = rolled_back(robot)
-    assert sim.gate.anchor.why is Why.BEHIND
+    assert sim.gate.anchor.why is Discrepancy.BEHIND
     (alert,) = alerts(sim)
     assert (alert["what"], alert["why"]) == ("the store was put back", "behind")
     assert alert["counted"] > alert["size"]
@@ -324,7 +324,7 @@ def test_a_refusing_gate_overwrites_nothing_of_what_it_was_caught_by(robot: Robo
     robot.put_back()
     for _ in range(2):  # a restart is no way out
         sim = robot.start()
-        assert sim.gate.anchor.why is Why.BEHIND
+        assert sim.gate.anchor.why is Discrepancy.BEHIND
         sim.gate.close()
         assert robot.counter.read_bytes() == before
 
@@ -333,7 +333,7 @@ def test_a_store_that_was_deleted_is_caught(robot: Robot) -> None:
     worked(robot)
     robot.store.unlink()
     sim = robot.start()
-    assert sim.gate.anchor.why is Why.REPLACED
+    assert sim.gate.anchor.why is Discrepancy.REPLACED
     assert refused(lambda: sim.gate.management.activate(scenarios.token(mission()))) is (
         Reason.ROLLED_BACK
     )
@@ -345,7 +345,7 @@ def test_a_copy_that_went_on_elsewhere_is_caught_however_long_it_is(robot: Robot
     robot.put_back()
     robot.counter.unlink()
     held = robot.start(counter=False)  # elsewhere, without the counter, somebody accepts it
-    assert held.gate.anchor.why is Why.COUNTER_NOT_NAMED
+    assert held.gate.anchor.why is Discrepancy.COUNTER_NOT_NAMED
     held.gate.management.accept_store(order(held))
     anew = held.gate.ledger.last_ms() + 1
     held.gate.management.command(command(Verb.RESUME, made, at=robot.start_ms, issued_ms=anew))
@@ -354,7 +354,7 @@ def test_a_copy_that_went_on_elsewhere_is_caught_however_long_it_is(robot: Robot
     held.gate.close()
     robot.counter.write_bytes(counter)
     sim = robot.start()
-    assert sim.gate.anchor.why is Why.FORKED
+    assert sim.gate.anchor.why is Discrepancy.FORKED
 
 
 def test_a_counter_that_is_gone_torn_foreign_or_another_robots_is_caught(robot: Robot) -> None:
@@ -364,11 +364,11 @@ def test_a_counter_that_is_gone_torn_foreign_or_another_robots_is_caught(robot: 
     foreign = seal(msgspec.structs.replace(note, robot=scenarios.OTHER), lifter)
     forged = seal(note, folder_signer(scenarios.trust_folder(), "operator-1"))
     for bad, why in (
-        (None, Why.COUNTER_MISSING),
-        (b"", Why.COUNTER_FOREIGN),
-        (good[:100], Why.COUNTER_FOREIGN),
-        (foreign, Why.COUNTER_FOREIGN),
-        (forged, Why.COUNTER_FOREIGN),
+        (None, Discrepancy.COUNTER_MISSING),
+        (b"", Discrepancy.COUNTER_FOREIGN),
+        (good[:100], Discrepancy.COUNTER_FOREIGN),
+        (foreign, Discrepancy.COUNTER_FOREIGN),
+        (forged, Discrepancy.COUNTER_FOREIGN),
     ):
         robot.counter.unlink()
         if bad is not None:
@@ -387,7 +387,7 @@ def test_an_older_note_of_the_same_store_is_caught_by_the_store(robot: Robot) ->
     for _ in range(2):
         robot.start().gate.close()
     robot.counter.write_bytes(older)
-    assert robot.start().gate.anchor.why is Why.COUNTER_BEHIND
+    assert robot.start().gate.anchor.why is Discrepancy.COUNTER_BEHIND
 
 
 def test_a_counter_that_is_not_mounted_is_no_counter_that_is_new(robot: Robot) -> None:
@@ -395,7 +395,7 @@ def test_a_counter_that_is_not_mounted_is_no_counter_that_is_new(robot: Robot) -
     away = robot.counter.parent.with_name("away")
     robot.counter.parent.rename(away)
     sim = robot.start()
-    assert sim.gate.anchor.why is Why.COUNTER_UNREADABLE
+    assert sim.gate.anchor.why is Discrepancy.COUNTER_UNREADABLE
     away.rename(robot.counter.parent)
     # nobody signs away what he could still read
     with pytest.raises(RefusedError, match="has to be readable first") as found:
@@ -408,7 +408,7 @@ def test_a_counter_that_is_not_mounted_is_no_counter_that_is_new(robot: Robot) -
 def test_leaving_the_counter_out_is_no_way_round(robot: Robot) -> None:
     worked(robot)
     sim = robot.start(counter=False)
-    assert sim.gate.anchor.why is Why.COUNTER_NOT_NAMED
+    assert sim.gate.anchor.why is Discrepancy.COUNTER_NOT_NAMED
     sim.gate.close()
     gate = offline_gate(
         scenarios.trust_folder(), scenarios.site(), rid=scenarios.RID, store=robot.store
@@ -453,11 +453,11 @@ def test_a_counter_and_a_signer_go_together(robot: Robot) -> None:
     sim = robot.start()
     for wrong in ({"counter": FileCounter(robot.counter)}, {"signer": sim.signer}):
         with pytest.raises(TypeError):
-            Anchor(sim.gate.ledger, robot=scenarios.RID, **wrong)
+            StoreAnchor(sim.gate.ledger, robot=scenarios.RID, **wrong)
 
 
 def test_without_a_counter_nothing_is_read() -> None:
-    assert read_counter(None, verifier=read_trust(scenarios.trust_folder())) == Reading()
+    assert read_counter(None, verifier=read_trust(scenarios.trust_folder())) == CounterReading()
 
 
 # recovery
@@ -494,7 +494,7 @@ def test_nobody_else_accepts_a_store(robot: Robot, by: str) -> None:
     assert refused(lambda: sim.gate.management.accept_store(order(sim, by=by))) is (
         Reason.ROLE_DENIED
     )
-    assert sim.gate.anchor.why is Why.BEHIND
+    assert sim.gate.anchor.why is Discrepancy.BEHIND
 
 
 def test_an_operator_of_other_robots_accepts_no_store_of_this_one(
@@ -512,7 +512,7 @@ def test_an_operator_of_other_robots_accepts_no_store_of_this_one(
     sim = robot.start()
     signed = order(sim, by="operator-9", trust=robot.trust)
     assert refused(lambda: sim.gate.management.accept_store(signed)) is Reason.SIGNER_OUT_OF_SCOPE
-    assert sim.gate.anchor.why is Why.COUNTER_MISSING
+    assert sim.gate.anchor.why is Discrepancy.COUNTER_MISSING
 
 
 def test_two_releases_at_once_never_count_less_than_before(robot: Robot) -> None:
@@ -558,7 +558,7 @@ def test_an_order_about_anything_else_is_refused(
     _, sim = rolled_back(robot)
     before = robot.counter.read_bytes()
     assert refused(lambda: sim.gate.management.accept_store(order(sim, **claim))) is reason
-    assert sim.gate.anchor.why is Why.BEHIND
+    assert sim.gate.anchor.why is Discrepancy.BEHIND
     assert robot.counter.read_bytes() == before
     assert records(sim)[-1].open["reasons"] == [reason]
 
@@ -577,7 +577,7 @@ def test_an_order_counts_once_whatever_is_put_back(robot: Robot) -> None:
     shutil.copy(copy, robot.store)  # a store in which it was never carried out
     robot.start_ms -= HOUR_MS  # at the same time
     sim = robot.start()
-    assert sim.gate.anchor.why is Why.BEHIND
+    assert sim.gate.anchor.why is Discrepancy.BEHIND
     assert refused(lambda: sim.gate.management.accept_store(signed)) is Reason.ROLLED_BACK
     assert sim.gate.ledger.standing(made.mid).status == "suspended"
 
@@ -619,7 +619,7 @@ def test_an_order_whose_counter_cannot_be_written_lets_nothing_go_on(
     sim.gate.ledger.close()  # it dies there
     sim = robot.start()
     # its refusals and alerts have made it longer than what was counted, and it is not that log
-    assert sim.gate.anchor.why is Why.FORKED
+    assert sim.gate.anchor.why is Discrepancy.FORKED
     sim.gate.management.accept_store(order(sim))  # a person is asked again
     assert sim.gate.anchor.why is None
 

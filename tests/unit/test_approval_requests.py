@@ -17,7 +17,7 @@ from authguard_r.approvals.organization import (
 )
 from authguard_r.authoring.compile.request import action_line, brief, card
 from authguard_r.client.approvals import read_questions, shown, signed_answer, the_one
-from authguard_r.core.approval import Verdict
+from authguard_r.core.approval import ApprovalVerdict
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import AuthGuardError, MalformedError, RefusedError, StoreError
 from authguard_r.core.mission import RiskPolicy
@@ -27,11 +27,11 @@ from authguard_r.keys.certificate import Role
 from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
 from authguard_r.server.approval_requests import OpenQuestions
-from authguard_r.store.sqlite import Row
+from authguard_r.store.sqlite import LogRow
 from authguard_r.wire.approval_request import Question, Questions
-from authguard_r.wire.messages import Act
+from authguard_r.wire.messages import OrderKind
 from fixtures import approvals, scenarios
-from missionpair.bench import Bench, Scene, make_bench, order, propose
+from missionpair.bench import Bench, BenchScene, make_bench, order, propose
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     return make_bench(tmp_path_factory.mktemp("bench") / "trust")
 
 
-def asked(bench: Bench, **risk: Any) -> tuple[Scene, OpenQuestions, list[dict[str, Any]]]:
+def asked(bench: Bench, **risk: Any) -> tuple[BenchScene, OpenQuestions, list[dict[str, Any]]]:
     """Return a scene in which somebody was asked, and what those who watch were told."""
     scene = approvals.scene(bench, "isolation-room", **risk)
     told: list[dict[str, Any]] = []
@@ -54,7 +54,7 @@ def question(bench: Bench, **risk: Any) -> Question:
     return found
 
 
-def without(scene: Scene, *names: str) -> None:
+def without(scene: BenchScene, *names: str) -> None:
     """Destroy sealed values of the decision that asked, as a shredder does."""
     store = scene.sim.gate.ledger.store
     (number,) = [
@@ -65,7 +65,9 @@ def without(scene: Scene, *names: str) -> None:
     row = store._rows[number]  # type: ignore[attr-defined]
     sealed = json.loads(row.sealed)
     kept = {name: item for name, item in sealed.items() if name not in names}
-    store._rows[number] = Row(row.seq, row.record, msgspec.json.encode(kept, order="sorted"), b"")  # type: ignore[attr-defined]
+    store._rows[number] = LogRow(
+        row.seq, row.record, msgspec.json.encode(kept, order="sorted"), b""
+    )  # type: ignore[attr-defined]
 
 
 # events
@@ -104,7 +106,7 @@ def test_a_request_that_ran_out_is_told_once_and_only_while_it_is_open(bench: Be
 
 def test_a_request_that_was_closed_before_it_ran_out_is_not_told(bench: Bench) -> None:
     scene, opened, told = asked(bench)
-    approvals.hand_in(bench, scene, "supervisor-1", verdict=Verdict.DENY)
+    approvals.hand_in(bench, scene, "supervisor-1", verdict=ApprovalVerdict.DENY)
     propose(scene)
     scene.sim.robot.pause(121_000)
     opened.listen()
@@ -113,7 +115,9 @@ def test_a_request_that_was_closed_before_it_ran_out_is_not_told(bench: Bench) -
 
 def test_a_request_that_was_denied_does_not_run_out(bench: Bench) -> None:
     scene, opened, told = asked(bench)
-    no = approvals.signed(bench, approvals.approval(scene, verdict=Verdict.DENY), "supervisor-1")
+    no = approvals.signed(
+        bench, approvals.approval(scene, verdict=ApprovalVerdict.DENY), "supervisor-1"
+    )
     opened.answered(scene.sim.gate.management.approve(no))
     scene.sim.robot.pause(121_000)
     opened.listen()
@@ -200,7 +204,7 @@ def test_a_record_that_is_gone_or_damaged_is_the_stores_corruption(bench: Bench)
         scene, opened, _ = asked(bench)
         store = scene.sim.gate.ledger.store
         if damage is None:
-            store._rows = [Row(r.seq, b"{}", r.sealed, r.link) for r in store._rows]  # type: ignore[attr-defined]
+            store._rows = [LogRow(r.seq, b"{}", r.sealed, r.link) for r in store._rows]  # type: ignore[attr-defined]
         else:
             store._held["question", f"{scene.mission.mid}:1"] = damage  # type: ignore[attr-defined]
         with pytest.raises(StoreError):
@@ -239,8 +243,8 @@ def test_an_answer_about_another_request_is_refused(bench: Bench) -> None:
 
 def test_nobody_is_shown_one_thing_and_signs_another(bench: Bench) -> None:
     found, signer = question(bench), folder_signer(bench.folder, "supervisor-1")
-    order_ = signed_answer(found, Verdict.APPROVE, signer)
-    assert (order_.act, order_.why) == (Act.APPROVE, "")
+    order_ = signed_answer(found, ApprovalVerdict.APPROVE, signer)
+    assert (order_.act, order_.why) == (OrderKind.APPROVE, "")
     scope = found.scope_bytes or b""
     lies: tuple[dict[str, Any], ...] = (
         {"scope_bytes": scope.replace(b"isolation-room", b"pharmacy")},
@@ -253,11 +257,11 @@ def test_nobody_is_shown_one_thing_and_signs_another(bench: Bench) -> None:
         with pytest.raises(AuthGuardError):
             shown(lied)
         with pytest.raises(AuthGuardError):
-            signed_answer(lied, Verdict.APPROVE, signer)
+            signed_answer(lied, ApprovalVerdict.APPROVE, signer)
     for why in ("", "   "):
         with pytest.raises(RefusedError, match="says why"):
-            signed_answer(found, Verdict.DENY, signer, why=why)
-    assert signed_answer(found, Verdict.DENY, signer, why="no").why == "no"
+            signed_answer(found, ApprovalVerdict.DENY, signer, why=why)
+    assert signed_answer(found, ApprovalVerdict.DENY, signer, why="no").why == "no"
 
 
 # in words
@@ -269,7 +273,7 @@ def test_the_card_says_everything_that_counts(bench: Bench) -> None:
         bench.folder, "night", Role.SUPERVISOR, threshold=2, members=("supervisor-1", "x")
     )
     approvals.hand_in(bench, scene, "operator-1", group)
-    approvals.hand_in(bench, scene, "safety-officer-1", verdict=Verdict.DENY)
+    approvals.hand_in(bench, scene, "safety-officer-1", verdict=ApprovalVerdict.DENY)
     (found,) = opened.told(None).requests
     text = "\n".join(card(found, shown(found), bench.site))
     for part in (

@@ -8,7 +8,7 @@ from random import Random
 
 import pytest
 
-from missionpair.approvers import Delay, Kind, read_delay
+from missionpair.approvers import Delay, DelayKind, read_delay
 
 
 @pytest.mark.parametrize("text", ["fixed:2s", "exponential:3s", "lognormal:5s,0.8"])
@@ -38,5 +38,5 @@ def test_a_delay_that_states_no_distribution_is_refused(text: str) -> None:
 
 
 def test_nobody_who_takes_no_time_waits() -> None:
-    for kind in Kind:
+    for kind in DelayKind:
         assert Delay(kind=kind, median_s=0.0, sigma=1.0).drawn_s(Random(0)) == 0.0

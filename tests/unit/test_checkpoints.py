@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from authguard_r.anchoring.checkpoint_scheduler import NotaryPolicy
+from authguard_r.anchoring.checkpoint_scheduler import CheckpointPolicy
 from authguard_r.anchoring.checkpoints import (
     CHECKPOINT,
     FRONTIER,
@@ -19,7 +19,7 @@ from authguard_r.anchoring.checkpoints import (
     Checkpoints,
     StoredNodes,
 )
-from authguard_r.anchoring.evidence import Why
+from authguard_r.anchoring.evidence import Discrepancy
 from authguard_r.audit.checkpoint import Checkpoint, read_checkpoint
 from authguard_r.audit.note import Note, NoteSignature, read_note
 from authguard_r.audit.record import Entry
@@ -61,7 +61,7 @@ class Log:
     """Checkpoints over rows that mean nothing."""
 
     def __init__(self) -> None:
-        self.sim = begin(MemoryStore(), NotaryPolicy())
+        self.sim = begin(MemoryStore(), CheckpointPolicy())
         self.store = self.sim.gate.ledger.store
         self.made = self.again()
 
@@ -270,7 +270,7 @@ def test_an_accepted_log_gets_a_tree_of_its_own(log: Log) -> None:
 
 def changed_store() -> MemoryStore:
     """Return a store whose log ended with a mission, and whose last record was changed since."""
-    sim = begin(MemoryStore(), NotaryPolicy())
+    sim = begin(MemoryStore(), CheckpointPolicy())
     sim.gate.management.activate(scenarios.token(scenarios.mission()))
     store = copied_at_end(sim)
     rows = store._rows
@@ -288,8 +288,8 @@ def copied_at_end(sim: Simulation) -> MemoryStore:
 
 
 def test_a_gate_on_a_log_that_is_not_its_checkpoints_decides_nothing() -> None:
-    sim = begin(changed_store(), NotaryPolicy())
-    assert sim.gate.anchor.why is Why.CHECKPOINT_DIFFERS
+    sim = begin(changed_store(), CheckpointPolicy())
+    assert sim.gate.anchor.why is Discrepancy.CHECKPOINT_DIFFERS
     assert scenarios.propose(sim, GO).refusal.reason is Reason.ROLLED_BACK
     shown = sim.gate.anchor.shown()
     assert (shown["state"], shown["by"], shown["counted"]) == ("put_back", "store", None)
@@ -306,19 +306,19 @@ def told(sim: Simulation) -> list[dict[str, Any]]:
 
 
 def test_a_clean_end_covers_the_whole_log() -> None:
-    sim = begin(MemoryStore(), NotaryPolicy())
+    sim = begin(MemoryStore(), CheckpointPolicy())
     sim.gate.management.activate(scenarios.token(scenarios.mission()))
     store = copied_at_end(sim)
     data = store._held[CHECKPOINT, NEWEST]
     said = read_checkpoint(read_note(data, where="").text, where="")
     assert said.size == len(store._rows)
-    assert begin(store, NotaryPolicy()).gate.anchor.why is None
+    assert begin(store, CheckpointPolicy()).gate.anchor.why is None
 
 
 def test_what_cannot_be_undone_is_in_a_checkpoint_before_it_is_dispatched(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    sim = begin(MemoryStore(), NotaryPolicy())
+    sim = begin(MemoryStore(), CheckpointPolicy())
     made = scenarios.mission()
     grants = tuple(msgspec.structs.replace(grant, irreversible=True) for grant in made.actions)
     made = msgspec.structs.replace(made, actions=grants)
@@ -355,7 +355,7 @@ class Token:
 
 def test_a_checkpoint_that_cannot_be_held_starts_nothing_that_has_no_undo() -> None:
     token = Token()
-    sim = begin(MemoryStore(), NotaryPolicy(), signer=token)
+    sim = begin(MemoryStore(), CheckpointPolicy(), signer=token)
     made = scenarios.mission()
     grants = tuple(msgspec.structs.replace(grant, irreversible=True) for grant in made.actions)
     sim.gate.management.activate(scenarios.token(msgspec.structs.replace(made, actions=grants)))
@@ -369,7 +369,7 @@ def test_a_checkpoint_that_cannot_be_held_starts_nothing_that_has_no_undo() -> N
 
 
 def test_a_checkpoint_is_made_for_records_for_time_and_at_a_missions_end() -> None:
-    sim = begin(MemoryStore(), NotaryPolicy(records=4, every_ms=60_000))
+    sim = begin(MemoryStore(), CheckpointPolicy(records=4, every_ms=60_000))
     anchor, ledger = sim.gate.anchor, sim.gate.ledger
 
     def size() -> int:

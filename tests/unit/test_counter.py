@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from authguard_r.anchoring.counter import MAX_BYTES, Counted, FileCounter, open_note, seal
+from authguard_r.anchoring.counter import MAX_BYTES, CounterNote, FileCounter, open_note, seal
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import AuthenticityError, EnvironmentFault, MalformedError
 from authguard_r.core.reasons import Reason
@@ -21,7 +21,7 @@ from fixtures import scenarios
 GATE = "gate-courier-1"
 
 
-def counted(**changes: Any) -> Counted:
+def counted(**changes: Any) -> CounterNote:
     plain: dict[str, Any] = {
         "robot": scenarios.RID,
         "store": b64(bytes(32)),
@@ -30,14 +30,14 @@ def counted(**changes: Any) -> Counted:
         "head": b64(bytes(32)),
         "time_ms": scenarios.START_MS,
     }
-    return Counted(**plain | changes)
+    return CounterNote(**plain | changes)
 
 
 def note(by: str = GATE, **changes: Any) -> bytes:
     return seal(counted(**changes), folder_signer(scenarios.trust_folder(), by))
 
 
-def opened(data: bytes) -> Counted:
+def opened(data: bytes) -> CounterNote:
     return open_note(data, verifier=read_trust(scenarios.trust_folder()))
 
 

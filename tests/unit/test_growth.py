@@ -10,7 +10,7 @@ import pytest
 
 from authguard_r.anchoring import growth
 from authguard_r.anchoring.checkpoints import Checkpoints
-from authguard_r.anchoring.growth import COUNTED, KIND, PAGE, Counted, Growth, mission_of
+from authguard_r.anchoring.growth import COUNTED, KIND, PAGE, Growth, GrowthCount, mission_of
 from authguard_r.audit.record import NONE, Entry, append
 from authguard_r.core.errors import StoreError
 from authguard_r.core.ports import Store, Turn
@@ -49,7 +49,7 @@ def test_each_record_is_counted_once_and_for_its_own_mission() -> None:
     assert every["a"].records == PAGE + 3
     for mid, found in every.items():
         told = store.read(lambda turn, of=mid: growth.counted(turn, of))
-        assert told == Counted(growth=found, upto=PAGE + 10)
+        assert told == GrowthCount(growth=found, upto=PAGE + 10)
 
 
 def test_what_came_since_is_counted_by_whoever_asks_a_page_at_most() -> None:

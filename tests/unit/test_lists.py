@@ -15,7 +15,7 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from authguard_r.approvals import answer
 from authguard_r.authoring.keys.revoking import revoke
 from authguard_r.authoring.keys.setup import demo_members, init_folder
-from authguard_r.core.approval import Verdict
+from authguard_r.core.approval import ApprovalVerdict
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import (
     AuthenticityError,
@@ -32,7 +32,7 @@ from authguard_r.keys.trust import Trust, read_certificates, read_trust
 from authguard_r.operations.simulation import simulate
 from authguard_r.store.sqlite import open_store, read_held
 from authguard_r.store.transactions import Ledger
-from authguard_r.wire.messages import Act, ClientRole, Kind, Order
+from authguard_r.wire.messages import ClientRole, Kind, Order, OrderKind
 from fixtures import scenarios
 from fixtures.revocation_lists import next_lists
 from missionpair.bench import make_bench
@@ -72,7 +72,9 @@ def fresh(folder: Path, name: str = "people", *, days: int = 30) -> bytes:
 def bring(house: House, data: bytes) -> dict[str, Any]:
     operator = house.enter(ClientRole.OPERATOR)
     try:
-        told: dict[str, Any] = operator.ask(Kind.ORDER, Order(act=Act.REVOCATIONS, token=data))
+        told: dict[str, Any] = operator.ask(
+            Kind.ORDER, Order(act=OrderKind.REVOCATIONS, token=data)
+        )
     finally:
         operator.leave()
         house.pump()
@@ -195,7 +197,7 @@ def test_an_approver_who_is_revoked_after_answering_does_not_count(tmp_path: Pat
     assert standing is not None
     ((grant, request),) = standing.requests.items()
     verified = gate.ledger.run(gate.enforcer.intake.active_mission)
-    said = answer(verified, grant, request, rid=scenarios.RID, verdict=Verdict.APPROVE)
+    said = answer(verified, grant, request, rid=scenarios.RID, verdict=ApprovalVerdict.APPROVE)
     for name in ("supervisor-1", "supervisor-2"):
         token = sign_object(said, Tag.APPROVAL, folder_signer(bench.folder, name))
         if name == "supervisor-1":

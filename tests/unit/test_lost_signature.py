@@ -28,7 +28,7 @@ from authguard_r.enforcement.signed_orders import Command, Verb
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.signer import folder_signer
 from authguard_r.store.memory import MemoryStore
-from authguard_r.wire.messages import Act, ClientRole, Kind, Order
+from authguard_r.wire.messages import ClientRole, Kind, Order, OrderKind
 from fixtures import scenarios, templates
 from unit.server.demo_site import GO, SCAN, HandClock, House, Refused
 from unit.server.test_rescues import Disk, _Kept
@@ -275,7 +275,7 @@ def test_a_gate_that_was_killed_with_a_release_open_serves_on_under_the_list(fol
         assert (held.status, len(held.open)) == ("suspended", 1)
         officer = ward.house.enter(ClientRole.OPERATOR)
         revoked = ward.order(Verb.REVOKE, "safety-officer-1")
-        officer.ask(Kind.ORDER, Order(act=Act.COMMAND, token=revoked))
+        officer.ask(Kind.ORDER, Order(act=OrderKind.COMMAND, token=revoked))
         ward.begin("second", "operator-2")
         (step,) = ward.house.propose(planner, SCAN)["steps"]
         assert step["released"] is True
@@ -373,11 +373,11 @@ def test_the_gate_answers_an_order_under_a_lost_signature_as_it_does_any(folder:
         ward.house.activate()
         ward.list()
         second = ward.signed(mission("second", "operator-2"), "operator-2")
-        told = operator.ask(Kind.ORDER, Order(act=Act.ACTIVATE, token=second))
+        told = operator.ask(Kind.ORDER, Order(act=OrderKind.ACTIVATE, token=second))
         assert told["standing"]["status"] == "active"
         resumed = ward.order(Verb.RESUME, "operator-1")
         with pytest.raises(Refused, match="CERTIFICATE_REVOKED"):
-            operator.ask(Kind.ORDER, Order(act=Act.COMMAND, token=resumed))
+            operator.ask(Kind.ORDER, Order(act=OrderKind.COMMAND, token=resumed))
 
 
 def test_a_mission_whose_closing_is_over_lapses_at_the_next_activation(folder: Path) -> None:

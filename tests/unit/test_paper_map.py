@@ -249,7 +249,7 @@ def test_a_module_is_reached(module: str, test: str) -> None:
 
 
 def test_a_module_behind_two_others_is_not_reached() -> None:
-    way = ["assembly.py", "enforcement.py", "core/decide.py"]
+    way = ["server/wiring.py", "enforcement/enforcer.py", "core/decide.py"]
     first, second, third = (ROOT / "src" / "authguard_r" / part for part in way)
     assert second in contents(first).imports
     assert third in contents(second).imports

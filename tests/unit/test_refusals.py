@@ -24,7 +24,7 @@ import msgspec
 import pytest
 
 from authguard_r.audit.record import Entry
-from authguard_r.audit.verify import Row, verify_rows
+from authguard_r.audit.verify import LogRow, verify_rows
 from authguard_r.core.encoding import Tag, b64, decode, encode_fast
 from authguard_r.core.errors import ClockError, RefusedError, StoreError
 from authguard_r.core.identifiers import RobotId
@@ -40,7 +40,7 @@ from authguard_r.store.refusals import (
 )
 from authguard_r.store.reserve import Reserve
 from authguard_r.store.sqlite import SqliteStore, open_store, read_held, read_rows
-from authguard_r.store.transactions import SKEW_MS, Act, High, Ledger
+from authguard_r.store.transactions import SKEW_MS, ClockWatermark, Ledger, Transaction
 
 RID = RobotId("courier-1")
 START_MS = 1_700_000_000_000
@@ -160,7 +160,7 @@ def refuse(ledger: Ledger, note: object = "no", fold: tuple[str, str, str] = FOL
 def accept(ledger: Ledger, **options: Any) -> int:
     """Hold something and record it, as a release does."""
 
-    def job(act: Act) -> int:
+    def job(act: Transaction) -> int:
         act.put("standing", "m", b"%d" % act.now.utc_ms)
         return act.record(entry_of("accept", act.now.utc_ms))
 
@@ -172,15 +172,15 @@ def entry_of(decision: str, time_ms: int) -> Entry:
 
 
 def outcome(ledger: Ledger) -> int:
-    def job(act: Act) -> int:
+    def job(act: Transaction) -> int:
         made = Entry(kind="outcome", time_ms=act.now.utc_ms, decision="succeeded", open={})
         return act.record(made)
 
     return ledger.run(job, essential=True)
 
 
-def rows_of(ledger: Ledger) -> tuple[Row, ...]:
-    return tuple(Row(*row) for row in ledger.run(lambda act: act.rows(0, 1_000_000)))
+def rows_of(ledger: Ledger) -> tuple[LogRow, ...]:
+    return tuple(LogRow(*row) for row in ledger.run(lambda act: act.rows(0, 1_000_000)))
 
 
 def records(ledger: Ledger) -> list[dict[str, Any]]:
@@ -189,7 +189,7 @@ def records(ledger: Ledger) -> list[dict[str, Any]]:
     return [plain(row) for row in rows]
 
 
-def plain(row: Row) -> dict[str, Any]:
+def plain(row: LogRow) -> dict[str, Any]:
     record = json.loads(row.record)
     sealed = {name: item["value"] for name, item in json.loads(row.sealed).items()}
     return {**record["link"], "kind": record["kind"], **record["open"], "sealed": sealed}
@@ -337,7 +337,7 @@ def test_a_refusal_that_changes_something_is_recorded_with_the_change(
 ) -> None:
     ledger = make()
 
-    def job(act: Act) -> int | None:
+    def job(act: Transaction) -> int | None:
         act.put("standing", "m", b"expired")
         return act.refuse(refusal(act.now.utc_ms, "changed"), fold=FOLD)
 
@@ -355,7 +355,7 @@ def test_an_act_that_fails_loses_no_refusal_that_waited_and_leaves_none_of_its_o
     ledger = make()
     refuse(ledger, "waits")
 
-    def job(act: Act) -> None:
+    def job(act: Transaction) -> None:
         act.refuse(refusal(act.now.utc_ms, "undone"), fold=("planner-2", "r", "f"))
         act.record(entry_of("accept", act.now.utc_ms))
         raise RefusedError("no", reason=Reason.ROLE_DENIED)
@@ -425,7 +425,9 @@ def test_a_flush_keeps_time_and_snapshot_that_only_refusals_saw(
     ledger.close()
     held = read_held(path, "clock", "high")
     assert held is not None
-    assert decode(held, High) == High(utc_ms=START_MS + 60_000, mono_ms=60_000, snapshot=(7, 9))
+    assert decode(held, ClockWatermark) == ClockWatermark(
+        utc_ms=START_MS + 60_000, mono_ms=60_000, snapshot=(7, 9)
+    )
 
 
 def test_a_flush_does_not_turn_the_committed_time_back(make: Make, clock: SetClock) -> None:

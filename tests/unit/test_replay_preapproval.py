@@ -7,14 +7,14 @@ import pytest
 from msgspec.structs import replace
 
 from authguard_r.audit.record import read_record
-from authguard_r.audit.verify import Row
+from authguard_r.audit.verify import LogRow
 from authguard_r.auditor.replay.preapproval import PreApprovals
-from authguard_r.cli.replay import Replay
-from authguard_r.core.approval import PreApproval, Verdict
+from authguard_r.cli.replay import LogReplay
+from authguard_r.core.approval import ApprovalVerdict, PreApproval
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.keys.trust import read_trust
 from fixtures import approvals
-from missionpair.bench import Bench, Scene, make_bench, world
+from missionpair.bench import Bench, BenchScene, make_bench, world
 
 TO = "isolation-room"
 
@@ -24,7 +24,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     return make_bench(tmp_path_factory.mktemp("bench") / "trust")
 
 
-def twice(bench: Bench) -> Scene:
+def twice(bench: Bench) -> BenchScene:
     """Return a scene whose robot went twice, on one pre-approval of two uses."""
     scene = approvals.scene(bench, TO)
     mission, now = scene.mission, scene.sim.robot.wall_ms()
@@ -49,12 +49,12 @@ def twice(bench: Bench) -> Scene:
     return scene
 
 
-def rows_of(scene: Scene) -> list[Row]:
-    return [Row(*row) for row in scene.sim.gate.ledger.peek(lambda turn: turn.rows(0, 10_000))]
+def rows_of(scene: BenchScene) -> list[LogRow]:
+    return [LogRow(*row) for row in scene.sim.gate.ledger.peek(lambda turn: turn.rows(0, 10_000))]
 
 
 def test_an_honest_log_is_decided_again_as_it_was(bench: Bench) -> None:
-    replay = Replay(read_trust(bench.folder))
+    replay = LogReplay(read_trust(bench.folder))
     assert [wrong for row in rows_of(twice(bench)) if (wrong := replay.see(row))] == []
     assert (replay.decisions, replay.agree) == (2, 2)
 
@@ -88,7 +88,7 @@ def test_a_standing_with_other_numbers_is_found(bench: Bench) -> None:
 def test_a_denial_ends_what_the_records_count(bench: Bench) -> None:
     scene, counted = approvals.scene(bench, TO), PreApprovals()
     assert approvals.outcome(scene) == ["APPROVAL_REQUIRED"]
-    approvals.hand_in(bench, scene, "safety-officer-1", verdict=Verdict.DENY)
+    approvals.hand_in(bench, scene, "safety-officer-1", verdict=ApprovalVerdict.DENY)
     for row in rows_of(scene):
         assert counted.note(read_record(row.record, where="")) == ""
     standing = scene.standing()

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from authguard_r.anchoring.anchor import Told
+from authguard_r.anchoring.anchor import AnchorNotice
 from authguard_r.anchoring.checkpoints import CHECKPOINT, TREE, WITNESSED, Checkpoints
 from authguard_r.anchoring.rotation import AGAIN_MS, BLOCK, STUCK, Rotation, RotationPolicy
 from authguard_r.audit.checkpoint import Checkpoint
@@ -54,9 +54,9 @@ class Rotated:
         fill(self.store, size - self.store.read(lambda turn: turn.head())[0])
         self.checkpoints.make()
 
-    def turn(self, rotation: Rotation | None = None) -> list[Told]:
+    def turn(self, rotation: Rotation | None = None) -> list[AnchorNotice]:
         """Tick until nothing moves any more; return what was told."""
-        moving, told = rotation or self.rotation, list[Told]()
+        moving, told = rotation or self.rotation, list[AnchorNotice]()
         for _ in range(40):
             told += moving.tick()
         return told
@@ -186,7 +186,7 @@ def test_what_goes_wrong_is_told_once_tried_again_and_over_when_it_works(
         assert log.turn() == []  # it was told of
     assert log.ends == []
     log.sim.robot.pause(AGAIN_MS)
-    assert log.turn() == [Told(STUCK, {}, over=True)]
+    assert log.turn() == [AnchorNotice(STUCK, {}, over=True)]
     assert log.ends == [3 * BLOCK]
 
 
@@ -202,7 +202,7 @@ def test_it_works_again_once_nothing_is_left_to_do(
         (told,) = log.rotation.tick()
         assert (told.what, told.over) == (STUCK, False)
     log.sim.robot.pause(AGAIN_MS)
-    assert log.turn() == [Told(STUCK, {}, over=True)]
+    assert log.turn() == [AnchorNotice(STUCK, {}, over=True)]
     assert log.in_store() == LEAST - 3 * BLOCK
 
 

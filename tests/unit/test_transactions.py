@@ -10,7 +10,7 @@ import msgspec
 
 from authguard_r.core.errors import ClockError
 from authguard_r.store.memory import MemoryStore
-from authguard_r.store.transactions import SKEW_MS, Act, Ledger
+from authguard_r.store.transactions import SKEW_MS, Ledger, Transaction
 from fixtures import scenarios
 from fixtures.cases import case
 
@@ -139,7 +139,7 @@ def test_a_thread_that_comes_back_late_turns_neither_time_nor_standing_back() ->
     ledger, acts = sim.gate.ledger, []
     mid = scenarios.mission().mid
 
-    def job(act: Act) -> None:
+    def job(act: Transaction) -> None:
         standing = act.standing(mid)
         assert standing is not None
         act.hold(msgspec.structs.replace(standing, actions=standing.actions + 1))

@@ -21,18 +21,18 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
-from authguard_r.anchoring.anchor import SILENT, WHAT, Anchor
-from authguard_r.anchoring.checkpoint_scheduler import Notary, NotaryPolicy
+from authguard_r.anchoring.anchor import SILENT, WHAT, StoreAnchor
+from authguard_r.anchoring.checkpoint_scheduler import CheckpointPolicy, CheckpointScheduler
 from authguard_r.anchoring.checkpoints import CHECKPOINT, NEWEST, WITNESSED
-from authguard_r.anchoring.evidence import Why
+from authguard_r.anchoring.evidence import Discrepancy
 from authguard_r.anchoring.places import WitnessPlace, require_place
 from authguard_r.anchoring.quorum import WitnessPolicy
 from authguard_r.anchoring.witnesses import (
     MAX_ANSWER,
     MOST_AWAY,
     NOTHING,
-    Answer,
     Courier,
+    WitnessReply,
     cosignature,
     cosigned,
     exchange,
@@ -265,7 +265,7 @@ def worked(*witnesses: SmallWitness) -> tuple[MemoryStore, MemoryStore]:
     return kept, ended(sim)
 
 
-def refuses(sim: Simulation, why: Why, size: int) -> None:
+def refuses(sim: Simulation, why: Discrepancy, size: int) -> None:
     anchor = sim.gate.anchor
     assert anchor.why is why
     assert scenarios.propose(sim, GO).refusal.reason is Reason.ROLLED_BACK
@@ -281,7 +281,7 @@ def refuses(sim: Simulation, why: Why, size: int) -> None:
 def test_a_store_that_was_put_back_is_caught_by_a_witness_alone(one: SmallWitness) -> None:
     kept, _ = worked(one)
     sim = begin(kept, policy(one))
-    refuses(sim, Why.BEHIND, one.size)
+    refuses(sim, Discrepancy.BEHIND, one.size)
     assert states(sim) == ["ahead"]
     assert [told.details for told in sim.gate.anchor.put_back()] == [{"why": "behind", "by": "one"}]
 
@@ -290,12 +290,12 @@ def test_a_store_that_was_deleted_is_caught_however_long_the_new_one_is(
     one: SmallWitness,
 ) -> None:
     worked(one)
-    refuses(begin(MemoryStore(), policy(one)), Why.BEHIND, one.size)
-    sim = begin(MemoryStore(), NotaryPolicy())
+    refuses(begin(MemoryStore(), policy(one)), Discrepancy.BEHIND, one.size)
+    sim = begin(MemoryStore(), CheckpointPolicy())
     for _ in range(one.size + 5):
         sim.gate.enforcer.stop(by="person", is_planner=False)
     sim = begin(ended(sim), policy(one))
-    refuses(sim, Why.FORKED, one.size)
+    refuses(sim, Discrepancy.FORKED, one.size)
     assert states(sim) == ["contradicts"]
 
 
@@ -306,7 +306,7 @@ def test_another_log_of_the_same_length_is_caught(one: SmallWitness) -> None:
     for key in [key for key in store._held if key[0] in {"tree", CHECKPOINT}]:
         del store._held[key]
     sim = begin(store, policy(one), at_ms=scenarios.START_MS + 3_600_000)
-    refuses(sim, Why.FORKED, one.size)
+    refuses(sim, Discrepancy.FORKED, one.size)
 
 
 def test_a_witness_that_comes_late_stops_a_gate_that_serves_already(one: SmallWitness) -> None:
@@ -319,7 +319,7 @@ def test_a_witness_that_comes_late_stops_a_gate_that_serves_already(one: SmallWi
     sim.robot.pause(60_000)
     (told,) = settled(sim)
     assert (told.what, told.details, told.recorded) == (WHAT, {"why": "behind", "by": "one"}, True)
-    assert sim.gate.anchor.why is Why.BEHIND
+    assert sim.gate.anchor.why is Discrepancy.BEHIND
     assert scenarios.propose(sim, GO).refusal.reason is Reason.ROLLED_BACK
 
 
@@ -329,7 +329,7 @@ def test_after_a_person_accepted_the_store_the_witness_is_lost_until_it_forgets(
     """It goes on saying so; only the next start is stopped by it again."""
     kept, _ = worked(one)
     sim = begin(kept, policy(one))
-    assert sim.gate.anchor.why is Why.BEHIND
+    assert sim.gate.anchor.why is Discrepancy.BEHIND
     accept(sim)
     for _ in range(2):
         assert sim.gate.anchor.why is None
@@ -340,7 +340,7 @@ def test_after_a_person_accepted_the_store_the_witness_is_lost_until_it_forgets(
         sim.gate.anchor.ready(irreversible=True)
     store = ended(sim)
     sim = begin(store, policy(one))
-    assert sim.gate.anchor.why is Why.FORKED
+    assert sim.gate.anchor.why is Discrepancy.FORKED
     accept(sim)
     one.forget()
     sim.robot.pause(60_000)
@@ -374,7 +374,7 @@ def test_a_log_that_was_accepted_against_its_own_checkpoint_is_shown_anew(
     store = ended(sim)
     store._held["tree", "frontier"] = b""
     sim = begin(store, policy(one))
-    assert sim.gate.anchor.why is Why.CHECKPOINT_DIFFERS
+    assert sim.gate.anchor.why is Discrepancy.CHECKPOINT_DIFFERS
     accept(sim)
     settled(sim)
     assert (sim.gate.anchor.why, states(sim)) == (None, ["cosigned"])
@@ -586,13 +586,13 @@ def test_a_cosignature_counts_once_under_its_own_key_and_over_this_text(
     others = cosign(note.text, "two", two.key, 1)
     of_another = cosign(note.text.replace("\n1\n", "\n2\n"), "one", one.key, 1)
     for said in ((others,), (of_another,), (of_another, mine)):
-        answer = Answer(200, "", signature_lines(said).encode())
+        answer = WitnessReply(200, "", signature_lines(said).encode())
         assert cosignature(answer, note, one.named) is None
-    answer = Answer(200, "", signature_lines((others, mine, mine)).encode())
+    answer = WitnessReply(200, "", signature_lines((others, mine, mine)).encode())
     merged = cosignature(answer, note, one.named)
     assert merged is not None
     assert merged.signatures == (*note.signatures, mine)
-    later = Answer(200, "", signature_lines((cosign(note.text, "one", one.key, 2),)).encode())
+    later = WitnessReply(200, "", signature_lines((cosign(note.text, "one", one.key, 2),)).encode())
     again = cosignature(later, merged, one.named)
     assert again is not None
     assert len(again.signatures) == 2
@@ -610,7 +610,7 @@ def test_a_request_is_what_c2sp_says() -> None:
     assert request(0, (), cosigned_too) == request(0, (), note)
 
 
-def answered(url: str) -> Answer:
+def answered(url: str) -> WitnessReply:
     return exchange(urlsplit(url), b"body", time.monotonic() + PATIENCE_S)
 
 
@@ -809,7 +809,7 @@ def test_an_honest_witness_beside_a_slow_one_cosigns_in_the_same_round(
         for quorum in (1, 2):
             asked = WitnessPolicy(places=places, quorum=quorum)
             one.forget()
-            sim = begin(MemoryStore(), NotaryPolicy(witnesses=asked))
+            sim = begin(MemoryStore(), CheckpointPolicy(witnesses=asked))
             assert states(sim)[1] == "cosigned"
             assert states(sim)[0] in {"unasked", "unreachable"}  # one without an end is soon over
             assert one.size == sim.gate.anchor.shown()["checkpoint"]
@@ -840,8 +840,8 @@ def test_nobody_is_asked_where_no_key_signs(one: SmallWitness) -> None:
     sim = begin(MemoryStore(), policy())
     assert "witness" not in sim.gate.anchor.shown()
     ledger = sim.gate.ledger
-    notary = Notary(ledger, robot=scenarios.RID, signer=None, policy=policy(one))
-    keyless = Anchor(ledger, robot=scenarios.RID, notary=notary)
+    notary = CheckpointScheduler(ledger, robot=scenarios.RID, signer=None, policy=policy(one))
+    keyless = StoreAnchor(ledger, robot=scenarios.RID, notary=notary)
     keyless.begin()
     assert (keyless.why, keyless.tick(), one.asked) == (None, (), [])
     with pytest.raises(EnvironmentFault):  # and what has no undo waits for ever
@@ -849,7 +849,7 @@ def test_nobody_is_asked_where_no_key_signs(one: SmallWitness) -> None:
 
 
 def test_without_a_notary_nothing_is_made_and_nothing_waits() -> None:
-    bare = Anchor(begin(MemoryStore(), policy()).gate.ledger, robot=scenarios.RID)
+    bare = StoreAnchor(begin(MemoryStore(), policy()).gate.ledger, robot=scenarios.RID)
     bare.begin()
     bare.ready(irreversible=True)
     assert bare.covered(irreversible=True) == ()

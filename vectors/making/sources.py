@@ -8,7 +8,7 @@ from dataclasses import replace
 from random import Random
 from typing import Any
 
-from authguard_r.core.approval import PreApproval, Verdict, VerifiedPreApproval
+from authguard_r.core.approval import ApprovalVerdict, PreApproval, VerifiedPreApproval
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.mission import SCHEMA, Limit
 from authguard_r.core.provenance import Chooser, Label, SourceField, allowed_of
@@ -174,7 +174,7 @@ def answered(rnd: Random) -> Case:
         case.standing.requests[grant], scope=need.scope, situation=need.situation, denied=False
     )
     approver = case.preapprovals[0].approver
-    denial = decision_cases._answer(case, request, approver.id, verdict=Verdict.DENY)
+    denial = decision_cases._answer(case, request, approver.id, verdict=ApprovalVerdict.DENY)
     standing = decision_cases.set_(case.standing, requests={grant: request})
     return replace(case, standing=standing, approvals=(denial,))
 

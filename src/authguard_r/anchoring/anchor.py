@@ -14,9 +14,9 @@ from contextlib import suppress
 
 from msgspec import Struct
 
-from authguard_r.anchoring.checkpoint_scheduler import Notary
-from authguard_r.anchoring.counter import Counted, Counter, open_note, seal
-from authguard_r.anchoring.evidence import BY_COUNTER, SAID, Doubt, Why
+from authguard_r.anchoring.checkpoint_scheduler import CheckpointScheduler
+from authguard_r.anchoring.counter import Counter, CounterNote, open_note, seal
+from authguard_r.anchoring.evidence import BY_COUNTER, SAID, Discrepancy, Doubt
 from authguard_r.audit.record import NONE, Entry
 from authguard_r.core.encoding import b64
 from authguard_r.core.errors import (
@@ -34,7 +34,7 @@ from authguard_r.core.ports import Turn
 from authguard_r.core.principals import Signer, Verifier
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import advance
-from authguard_r.store.transactions import Act, Ledger
+from authguard_r.store.transactions import Ledger, Transaction
 
 #: Where the store holds the number of a counter that it knows of.
 KIND, KNOWN = "counter", "known"
@@ -44,7 +44,7 @@ WHAT = "the store was put back"
 SILENT = "the witnesses are silent"
 
 
-class Reading(Struct, frozen=True):
+class CounterReading(Struct, frozen=True):
     """What a counter held when the gate started.
 
     Args:
@@ -52,8 +52,8 @@ class Reading(Struct, frozen=True):
         why: what is wrong with it.
     """
 
-    counted: Counted | None = None
-    why: Why | None = None
+    counted: CounterNote | None = None
+    why: Discrepancy | None = None
 
     @property
     def time_ms(self) -> int:
@@ -61,20 +61,22 @@ class Reading(Struct, frozen=True):
         return 0 if self.counted is None else self.counted.time_ms
 
 
-def read_counter(counter: Counter | None, *, verifier: Verifier) -> Reading:
+def read_counter(counter: Counter | None, *, verifier: Verifier) -> CounterReading:
     """Return what the counter holds; whatever is wrong with it is part of the answer."""
     if counter is None:
-        return Reading()
+        return CounterReading()
     try:
         note = counter.read()
-        return Reading() if note is None else Reading(open_note(note, verifier=verifier))
+        return (
+            CounterReading() if note is None else CounterReading(open_note(note, verifier=verifier))
+        )
     except EnvironmentFault:
-        return Reading(why=Why.COUNTER_UNREADABLE)
+        return CounterReading(why=Discrepancy.COUNTER_UNREADABLE)
     except (MalformedError, AuthenticityError):
-        return Reading(why=Why.COUNTER_FOREIGN)
+        return CounterReading(why=Discrepancy.COUNTER_FOREIGN)
 
 
-class Told(Struct, frozen=True):
+class AnchorNotice(Struct, frozen=True):
     """Something that people are to be told.
 
     Args:
@@ -97,7 +99,7 @@ class _Place(Struct, frozen=True):
     head: bytes
 
 
-class Anchor:
+class StoreAnchor:
     """One store and what is outside of it.
 
     Args:
@@ -116,8 +118,8 @@ class Anchor:
         robot: RobotId,
         counter: Counter | None = None,
         signer: Signer | None = None,
-        reading: Reading = Reading(),  # noqa: B008 - frozen
-        notary: Notary | None = None,
+        reading: CounterReading = CounterReading(),  # noqa: B008 - frozen
+        notary: CheckpointScheduler | None = None,
     ) -> None:
         if (counter is None) is not (signer is None):
             raise TypeError("a counter needs the gate's own signer, and nothing else does")
@@ -137,7 +139,7 @@ class Anchor:
             self._doubt = notary.compare()
 
     @property
-    def why(self) -> Why | None:
+    def why(self) -> Discrepancy | None:
         """Why nothing goes on with this store; None when it does."""
         return None if self._doubt is None else self._doubt.why
 
@@ -162,7 +164,7 @@ class Anchor:
                 self.count()
                 self._know()
 
-    def tick(self) -> tuple[Told, ...]:
+    def tick(self) -> tuple[AnchorNotice, ...]:
         """Make a checkpoint if one is due and take in what witnesses say; what is to be told.
 
         For the one thread that holds the store, between its turns.
@@ -179,7 +181,7 @@ class Anchor:
             return ()  # the store cannot be written: nothing is released, and somebody is told
         if began is None:
             return ()
-        return (Told(SILENT, {"records": self._notary.unwitnessed}, over=not began),)
+        return (AnchorNotice(SILENT, {"records": self._notary.unwitnessed}, over=not began),)
 
     def end(self) -> None:
         """Make a last checkpoint, show it to the witnesses, and count, if that can be done."""
@@ -188,12 +190,12 @@ class Anchor:
         with suppress(AuthGuardError):
             self.count()
 
-    def put_back(self) -> tuple[Told, ...]:
+    def put_back(self) -> tuple[AnchorNotice, ...]:
         """Return what people are told while nothing goes on with this store; else nothing."""
         if self._doubt is None:
             return ()
         details: dict[str, object] = {"why": str(self._doubt.why), "by": self._doubt.by}
-        return (Told(WHAT, details, recorded=True),)
+        return (AnchorNotice(WHAT, details, recorded=True),)
 
     def require(self) -> None:
         """Refuse while nobody has accepted this store.
@@ -292,29 +294,29 @@ class Anchor:
         number = known_number(turn.get(KIND, KNOWN))
         return Digest(b64(first[0][3])), number, _Place(*turn.head())
 
-    def _compare(self, turn: Turn, reading: Reading) -> Why | None:
+    def _compare(self, turn: Turn, reading: CounterReading) -> Discrepancy | None:
         if self._outside is None:
-            return None if self._known is None else Why.COUNTER_NOT_NAMED
+            return None if self._known is None else Discrepancy.COUNTER_NOT_NAMED
         counted = reading.counted
         if counted is None:
-            missing = None if self._known is None else Why.COUNTER_MISSING
+            missing = None if self._known is None else Discrepancy.COUNTER_MISSING
             return reading.why or missing
         if counted.robot != self._robot:
-            return Why.COUNTER_FOREIGN
+            return Discrepancy.COUNTER_FOREIGN
         if counted.store != self._store:
-            return Why.REPLACED
+            return Discrepancy.REPLACED
         row = turn.rows(counted.size - 1, 1)
         if not row:
-            return Why.BEHIND
+            return Discrepancy.BEHIND
         if b64(row[0][3]) != counted.head:
-            return Why.FORKED
-        return Why.COUNTER_BEHIND if counted.number < (self._known or 0) else None
+            return Discrepancy.FORKED
+        return Discrepancy.COUNTER_BEHIND if counted.number < (self._known or 0) else None
 
     def _write(self, counter: Counter, signer: Signer) -> None:
         """Write the place that is known; the lock is held."""
         # before it is written: two notes of one number must not exist, whatever becomes of this one
         self._number += 1
-        counted = Counted(
+        counted = CounterNote(
             robot=self._robot,
             store=self._store,
             number=self._number,
@@ -338,7 +340,7 @@ class Anchor:
         def entry(at: int, mid: str = NONE) -> Entry:
             return Entry(kind="alert", time_ms=at, decision="alert", mid=mid, open=told)
 
-        def suspended(act: Act) -> None:
+        def suspended(act: Transaction) -> None:
             mid = act.active()
             standing = None if mid is None else act.standing(mid)
             held = None if standing is None else advance(standing, Event.SUSPEND)
@@ -366,4 +368,12 @@ def known_number(known: bytes | None) -> int | None:
     return int(known)
 
 
-__all__ = ["SILENT", "WHAT", "Anchor", "Reading", "Told", "Why", "read_counter"]
+__all__ = [
+    "SILENT",
+    "WHAT",
+    "AnchorNotice",
+    "CounterReading",
+    "Discrepancy",
+    "StoreAnchor",
+    "read_counter",
+]

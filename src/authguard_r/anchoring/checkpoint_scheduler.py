@@ -11,7 +11,7 @@ from contextlib import suppress
 from msgspec import Struct
 
 from authguard_r.anchoring.checkpoints import Checkpoints, held_notes
-from authguard_r.anchoring.evidence import BY_STORE, Doubt, Why
+from authguard_r.anchoring.evidence import BY_STORE, Discrepancy, Doubt
 from authguard_r.anchoring.quorum import Quorum, WitnessPolicy
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import Count, Positive, RobotId
@@ -22,7 +22,7 @@ from authguard_r.store.transactions import Ledger
 START_S, END_S = 2.0, 2.0
 
 
-class NotaryPolicy(Struct, frozen=True, kw_only=True):
+class CheckpointPolicy(Struct, frozen=True, kw_only=True):
     """When checkpoints are made, and who witnesses them.
 
     Args:
@@ -36,7 +36,7 @@ class NotaryPolicy(Struct, frozen=True, kw_only=True):
     witnesses: WitnessPolicy = WitnessPolicy()
 
 
-class Notary:
+class CheckpointScheduler:
     """Makes the checkpoints of one store and has them witnessed.
 
     Args:
@@ -52,7 +52,7 @@ class Notary:
         *,
         robot: RobotId,
         signer: Signer | None,
-        policy: NotaryPolicy = NotaryPolicy(),  # noqa: B008 - frozen
+        policy: CheckpointPolicy = CheckpointPolicy(),  # noqa: B008 - frozen
     ) -> None:
         self._ledger = ledger
         self._policy = policy
@@ -67,7 +67,7 @@ class Notary:
     def compare(self) -> Doubt | None:
         """Return whether the store is what its own newest checkpoint and tree say."""
         fits = self._checkpoints.fits()
-        return None if fits else Doubt(Why.CHECKPOINT_DIFFERS, BY_STORE)
+        return None if fits else Doubt(Discrepancy.CHECKPOINT_DIFFERS, BY_STORE)
 
     def begin(self) -> Doubt | None:
         """Show the log to the witnesses before anything is served; they may take `START_S`.
@@ -115,13 +115,13 @@ class Notary:
             self.make()
             self._quorum.ask(END_S if self._quorum.confirmed else 0.0)
 
-    def accepted(self, why: Why) -> None:
+    def accepted(self, why: Discrepancy) -> None:
         """Go on with a store that a person has accepted.
 
         Raises:
             AuthGuardError: nothing goes on.
         """
-        if why is Why.CHECKPOINT_DIFFERS:
+        if why is Discrepancy.CHECKPOINT_DIFFERS:
             self._checkpoints.restart()
         self._quorum.accept()
         self._due = True

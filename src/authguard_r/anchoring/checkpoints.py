@@ -37,7 +37,7 @@ _STEP = LEVELS[0]
 _BLOCK = 1 << _STEP
 
 
-class _Held(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class _StoredFrontier(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A frontier as a store holds it, its hashes in base64url."""
 
     size: Count
@@ -289,7 +289,7 @@ def _hold_roots(turn: Turn, block: int, root: bytes) -> None:
 
 
 def _put_frontier(turn: Turn, frontier: Frontier) -> None:
-    held = _Held(size=frontier.size, peaks=tuple(b64(peak) for peak in frontier.peaks))
+    held = _StoredFrontier(size=frontier.size, peaks=tuple(b64(peak) for peak in frontier.peaks))
     turn.put(TREE, FRONTIER, encode(held))
 
 
@@ -298,7 +298,7 @@ def _frontier(turn: Turn) -> Frontier:
     if not data:
         return Frontier()
     try:
-        held = decode(data, _Held, where=FRONTIER)
+        held = decode(data, _StoredFrontier, where=FRONTIER)
         peaks = tuple(unb64(peak, where=FRONTIER) for peak in held.peaks)
     except MalformedError as error:
         raise _corrupt(FRONTIER) from error

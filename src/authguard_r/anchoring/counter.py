@@ -55,7 +55,7 @@ class Counter(Protocol):
         ...
 
 
-class Counted(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class CounterNote(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """How far a robot's log had come when the note was written.
 
     Args:
@@ -76,12 +76,12 @@ class Counted(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     time_ms: Count
 
 
-def seal(counted: Counted, signer: Signer) -> bytes:
+def seal(counted: CounterNote, signer: Signer) -> bytes:
     """Return the note, signed by the gate's own key."""
     return sign_object(counted, Tag.CHECKPOINT, signer)
 
 
-def open_note(note: bytes, *, verifier: Verifier) -> Counted:
+def open_note(note: bytes, *, verifier: Verifier) -> CounterNote:
     """Return what a note says, held to the gate that wrote it.
 
     Certificates are judged at the note's own time: it says what was, and a gate that was off for
@@ -91,10 +91,12 @@ def open_note(note: bytes, *, verifier: Verifier) -> Counted:
         MalformedError: it is no note.
         AuthenticityError: it was not signed by the gate of the robot that it names.
     """
-    claimed = decode(unb64(read_token(note).payload, where="token.payload"), Counted, where="note")
+    claimed = decode(
+        unb64(read_token(note).payload, where="token.payload"), CounterNote, where="note"
+    )
     at = Now(claimed.time_ms, 0)
     counted, _, signer = open_token(
-        note, Counted, tag=Tag.CHECKPOINT, roles=GATE_ROLES, verifier=verifier, now=at
+        note, CounterNote, tag=Tag.CHECKPOINT, roles=GATE_ROLES, verifier=verifier, now=at
     )
     if not signer.scope.covers(counted.robot):
         raise AuthenticityError(

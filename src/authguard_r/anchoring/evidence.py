@@ -14,7 +14,7 @@ from msgspec import Struct
 BY_COUNTER, BY_STORE = "counter", "store"
 
 
-class Why(StrEnum):
+class Discrepancy(StrEnum):
     """What does not fit between a store and what is kept outside of it."""
 
     BEHIND = "behind"
@@ -29,15 +29,15 @@ class Why(StrEnum):
 
 
 SAID = {
-    Why.BEHIND: "the log has fewer records than were counted: an older copy was put back",
-    Why.REPLACED: "another store was counted: this one is new, or not this robot's last",
-    Why.FORKED: "the log is not the one that was counted: a copy of it went on elsewhere",
-    Why.CHECKPOINT_DIFFERS: "the log is not the one of its own checkpoint: it was changed",
-    Why.COUNTER_MISSING: "the store was counted, and the counter is gone",
-    Why.COUNTER_BEHIND: "the counter is older than the store knows: it was put back",
-    Why.COUNTER_FOREIGN: "the counter is damaged, or not written by this robot's gate",
-    Why.COUNTER_UNREADABLE: "the counter cannot be read",
-    Why.COUNTER_NOT_NAMED: "the store was counted, and no counter was named",
+    Discrepancy.BEHIND: "the log has fewer records than were counted: an older copy was put back",
+    Discrepancy.REPLACED: "another store was counted: this one is new, or not this robot's last",
+    Discrepancy.FORKED: "the log is not the one that was counted: a copy of it went on elsewhere",
+    Discrepancy.CHECKPOINT_DIFFERS: "the log is not the one of its own checkpoint: it was changed",
+    Discrepancy.COUNTER_MISSING: "the store was counted, and the counter is gone",
+    Discrepancy.COUNTER_BEHIND: "the counter is older than the store knows: it was put back",
+    Discrepancy.COUNTER_FOREIGN: "the counter is damaged, or not written by this robot's gate",
+    Discrepancy.COUNTER_UNREADABLE: "the counter cannot be read",
+    Discrepancy.COUNTER_NOT_NAMED: "the store was counted, and no counter was named",
 }
 
 
@@ -50,6 +50,6 @@ class Doubt(Struct, frozen=True):
         size: how many records that place knows of; None when it does not say.
     """
 
-    why: Why
+    why: Discrepancy
     by: str
     size: int | None = None

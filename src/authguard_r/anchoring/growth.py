@@ -40,7 +40,7 @@ class Growth(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     bytes: Count = 0
 
 
-class Counted(Struct, frozen=True, kw_only=True):
+class GrowthCount(Struct, frozen=True, kw_only=True):
     """What a mission has written among the first `upto` records of the log."""
 
     growth: Growth
@@ -66,7 +66,7 @@ def count(turn: Turn) -> None:
     turn.put(KIND, COUNTED, encode(upto + len(rows)))
 
 
-def counted(turn: Turn, mid: str) -> Counted:
+def counted(turn: Turn, mid: str) -> GrowthCount:
     """Return what a mission has written, up to one page after what is held.
 
     Raises:
@@ -75,7 +75,7 @@ def counted(turn: Turn, mid: str) -> Counted:
     upto = _upto(turn)
     rows = turn.rows(upto, PAGE)
     growth = _sum(_held(turn, mid), _of(rows).get(mid, Growth()))
-    return Counted(growth=growth, upto=upto + len(rows))
+    return GrowthCount(growth=growth, upto=upto + len(rows))
 
 
 def mission_of(record: bytes) -> str:

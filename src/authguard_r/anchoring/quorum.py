@@ -15,12 +15,12 @@ from enum import StrEnum
 from msgspec import Struct
 
 from authguard_r.anchoring.checkpoints import WITNESSED, Checkpoints
-from authguard_r.anchoring.evidence import Doubt, Why
+from authguard_r.anchoring.evidence import Discrepancy, Doubt
 from authguard_r.anchoring.places import WitnessPlace, require_place
 from authguard_r.anchoring.witnesses import (
     SIZE_TYPE,
-    Answer,
     Courier,
+    WitnessReply,
     cosignature,
     cosigned,
     request,
@@ -50,7 +50,7 @@ class Stand(StrEnum):
     CONTRADICTS = "contradicts"
 
 
-_DOUBTS = {Stand.AHEAD: Why.BEHIND, Stand.CONTRADICTS: Why.FORKED}
+_DOUBTS = {Stand.AHEAD: Discrepancy.BEHIND, Stand.CONTRADICTS: Discrepancy.FORKED}
 
 
 class WitnessPolicy(Struct, frozen=True, kw_only=True):
@@ -298,7 +298,7 @@ class Quorum:
             witness.failed(stand, self._mono_ms())
         return None
 
-    def _cosigned(self, witness: _Witness, note: Note, answer: Answer) -> None:
+    def _cosigned(self, witness: _Witness, note: Note, answer: WitnessReply) -> None:
         """Keep a cosignature that holds."""
         going = self._note
         current = going is not None and going.text == note.text
@@ -317,7 +317,7 @@ class Quorum:
             self._since_ms = self._mono_ms()
         self._checkpoints.keep(merged, witnessed=witnessed)
 
-    def _told(self, witness: _Witness, note: Note, answer: Answer) -> Doubt | None:
+    def _told(self, witness: _Witness, note: Note, answer: WitnessReply) -> Doubt | None:
         """Take in the size that a witness has: prove from there, if the log got so far."""
         size, sent = _size(answer), read_checkpoint(note.text, where="checkpoint").size
         if size is not None and size > sent:
@@ -335,7 +335,7 @@ class Quorum:
         return None if witness.muted else Doubt(_DOUBTS[stand], witness.key.name, size)
 
 
-def _size(answer: Answer) -> int | None:
+def _size(answer: WitnessReply) -> int | None:
     """Return the size in a 409; None when there is none."""
     kind, body = answer.kind.partition(";")[0].strip(), answer.body
     if kind != SIZE_TYPE or not body.endswith(b"\n"):

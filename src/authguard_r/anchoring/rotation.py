@@ -12,7 +12,7 @@ from contextlib import suppress
 
 from msgspec import Struct
 
-from authguard_r.anchoring.anchor import Told
+from authguard_r.anchoring.anchor import AnchorNotice
 from authguard_r.anchoring.checkpoints import (
     NEWEST,
     WITNESSED,
@@ -85,7 +85,7 @@ class Rotation:
         self._again_ms = 0
         self._stuck = False
 
-    def tick(self) -> tuple[Told, ...]:
+    def tick(self) -> tuple[AnchorNotice, ...]:
         """Do one step, if there is one to do; what is to be told.
 
         For the one thread that holds the store, between its turns.
@@ -99,7 +99,7 @@ class Rotation:
         if not works or not self._stuck:
             return ()
         self._stuck = False
-        return (Told(STUCK, {}, over=True),)
+        return (AnchorNotice(STUCK, {}, over=True),)
 
     def _step(self) -> bool:
         """Do what is next; True when a segment was sealed, or nothing is left to do."""
@@ -136,7 +136,7 @@ class Rotation:
         said = Checkpoint(origin=self._origin, size=self._end, root=root, chain=head).text()
         return Note(said, sign_text(said, self._origin, self._signer)), head
 
-    def _give_up(self, error: AuthGuardError) -> tuple[Told, ...]:
+    def _give_up(self, error: AuthGuardError) -> tuple[AnchorNotice, ...]:
         """Free what was written so far, and try again later; people are told once."""
         self._again_ms = self._ledger.mono_ms() + AGAIN_MS
         with suppress(StoreError):  # else the next start removes what nobody reads
@@ -144,7 +144,7 @@ class Rotation:
         if self._stuck:
             return ()
         self._stuck = True
-        return (Told(STUCK, {"reason": str(error.reason), "why": error.message}),)
+        return (AnchorNotice(STUCK, {"reason": str(error.reason), "why": error.message}),)
 
 
 def _require_tree(turn: Turn, rows: tuple[Cells, ...]) -> None:

@@ -40,7 +40,7 @@ SIZE_TYPE = "text/x.tlog.size"
 _PATH = "/add-checkpoint"
 
 
-class Answer(Struct, frozen=True):
+class WitnessReply(Struct, frozen=True):
     """What came back.
 
     Args:
@@ -55,7 +55,7 @@ class Answer(Struct, frozen=True):
 
 
 #: Nothing came back.
-NOTHING = Answer(0)
+NOTHING = WitnessReply(0)
 
 
 def request(old: int, proof: tuple[bytes, ...], note: Note) -> bytes:
@@ -69,7 +69,7 @@ def request(old: int, proof: tuple[bytes, ...], note: Note) -> bytes:
     return "".join(f"{line}\n" for line in lines).encode() + Note(note.text, own).encode()
 
 
-def cosignature(answer: Answer, note: Note, key: NoteKey) -> Note | None:
+def cosignature(answer: WitnessReply, note: Note, key: NoteKey) -> Note | None:
     """Return the note with the witness's cosignature that came, once that holds.
 
     Args:
@@ -109,7 +109,7 @@ class Courier:
         self._url = urlsplit(url)
         self._limit_s = limit_s
         self._until = 0.0
-        self._box: SimpleQueue[Answer] | None = None
+        self._box: SimpleQueue[WitnessReply] | None = None
         self._threads: list[threading.Thread] = []
 
     @property
@@ -140,7 +140,7 @@ class Courier:
         else:
             self._threads.append(thread)
 
-    def answer(self, wait_s: float = 0.0) -> Answer | None:
+    def answer(self, wait_s: float = 0.0) -> WitnessReply | None:
         """Return the answer once it is there; a late one is given up.
 
         Args:
@@ -158,7 +158,7 @@ class Courier:
         return found
 
 
-def exchange(url: SplitResult, body: bytes, until: float) -> Answer:
+def exchange(url: SplitResult, body: bytes, until: float) -> WitnessReply:
     """Return what a witness answers; whatever goes wrong is `NOTHING`.
 
     Args:
@@ -182,7 +182,7 @@ def exchange(url: SplitResult, body: bytes, until: float) -> Answer:
             data = answer.read(MAX_ANSWER + 1)
             if len(data) > MAX_ANSWER:
                 return NOTHING
-            return Answer(answer.status, answer.getheader("Content-Type", ""), data)
+            return WitnessReply(answer.status, answer.getheader("Content-Type", ""), data)
     except (OSError, HTTPException, ValueError):
         return NOTHING
 
@@ -256,5 +256,5 @@ class _Read(RawIOBase):
         return self._sock.recv_into(buffer)
 
 
-def _carry(url: SplitResult, body: bytes, box: SimpleQueue[Answer], until: float) -> None:
+def _carry(url: SplitResult, body: bytes, box: SimpleQueue[WitnessReply], until: float) -> None:
     box.put(exchange(url, body, until))

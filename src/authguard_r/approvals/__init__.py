@@ -13,8 +13,8 @@ from msgspec import Struct
 
 from authguard_r.core.approval import (
     Approval,
+    ApprovalVerdict,
     PreApproval,
-    Verdict,
     VerifiedApproval,
     VerifiedPreApproval,
 )
@@ -67,7 +67,7 @@ def answer(
     request: ApprovalRequest,
     *,
     rid: RobotId,
-    verdict: Verdict,
+    verdict: ApprovalVerdict,
 ) -> Approval:
     """Return what an approver signs to answer a request; it lives as long as the request."""
     return Approval(

@@ -15,9 +15,9 @@ from typing import Any
 from msgspec import Struct, convert, structs
 
 from authguard_r.audit.record import Record, Sealed, read_record, read_sealed
-from authguard_r.audit.verify import Row
+from authguard_r.audit.verify import LogRow
 from authguard_r.core.action import Action
-from authguard_r.core.approval import Approval, Verdict, VerifiedApproval
+from authguard_r.core.approval import Approval, ApprovalVerdict, VerifiedApproval
 from authguard_r.core.checks.approval import Need, check_approval
 from authguard_r.core.checks.case import Case
 from authguard_r.core.errors import MalformedError, StoreError
@@ -28,16 +28,16 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import ApprovalRequest, Standing
 from authguard_r.core.token import VerifiedMission
-from authguard_r.store.transactions import Act
+from authguard_r.store.transactions import Transaction
 
 _HELD = "question"
 #: Stands for what was asked and cannot be told any more: it names no place.
 UNTOLD = Action(type=ActionType("untold"), tool=ToolId("untold"))
 #: Opens a row of the log (`Ledger.opened`).
-Opened = Callable[[tuple[int, bytes, bytes, bytes]], Row]
+Opened = Callable[[tuple[int, bytes, bytes, bytes]], LogRow]
 
 
-class Told(Struct, frozen=True):
+class RecordedQuestion(Struct, frozen=True):
     """What a decision's record says of a request: its link and open part, and its values."""
 
     record: Record
@@ -49,7 +49,7 @@ class Told(Struct, frozen=True):
         return None if item is None else convert(item.value, kind)
 
 
-class Asked(Struct, frozen=True, kw_only=True):
+class OpenRequest(Struct, frozen=True, kw_only=True):
     """One open request with everything that says whether an answer to it counts.
 
     Args:
@@ -81,13 +81,13 @@ class Asked(Struct, frozen=True, kw_only=True):
 
 
 def find_asked(
-    act: Act,
+    act: Transaction,
     said: Approval,
     *,
-    mission: Callable[[Act, Digest], VerifiedMission],
+    mission: Callable[[Transaction, Digest], VerifiedMission],
     facts: SiteFacts,
     opened: Opened,
-) -> Asked | None:
+) -> OpenRequest | None:
     """Return the open request of the active mission that an answer names; None: there is none.
 
     Args:
@@ -110,7 +110,7 @@ def find_asked(
     action = None
     with suppress(StoreError):
         action = read_told(act, said.mid, said.counter, opened).value("action", Action)
-    return Asked(
+    return OpenRequest(
         verified=verified,
         grant=next(grant for grant in verified.mission.actions if grant.id == named),
         request=standing.requests[named],
@@ -120,14 +120,14 @@ def find_asked(
     )
 
 
-def is_asked(act: Act, approval: Approval) -> bool:
+def is_asked(act: Transaction, approval: Approval) -> bool:
     """True while the mission has an open request of the answer's number."""
     standing = act.standing(approval.mid)
     open_now = () if standing is None else standing.requests.values()
     return any(request.counter == approval.counter for request in open_now)
 
 
-def read_told(act: Act, mid: MissionId, counter: int, opened: Opened) -> Told:
+def read_told(act: Transaction, mid: MissionId, counter: int, opened: Opened) -> RecordedQuestion:
     """Return the record of the decision that opened a request.
 
     Raises:
@@ -140,24 +140,26 @@ def read_told(act: Act, mid: MissionId, counter: int, opened: Opened) -> Told:
         raise StoreError("its record is gone", where=where, reason=Reason.STORE_CORRUPT)
     row = opened(rows[0])
     try:
-        return Told(read_record(row.record, where=where), read_sealed(row.sealed, where=where))
+        return RecordedQuestion(
+            read_record(row.record, where=where), read_sealed(row.sealed, where=where)
+        )
     except MalformedError as error:
         raise StoreError(error.message, where=where, reason=Reason.STORE_CORRUPT) from error
 
 
-def fits(asked: Asked, item: VerifiedApproval, now: Now) -> bool:
+def fits(asked: OpenRequest, item: VerifiedApproval, now: Now) -> bool:
     """True when the check, with this answer alone, says another thing than with none."""
     in_time = now.utc_ms <= asked.request.expires_ms
     return in_time and bool(_checked(asked, (item,), now) != _checked(asked, (), now))
 
 
-def behind(asked: Asked, items: tuple[VerifiedApproval, ...], now: Now) -> int:
+def behind(asked: OpenRequest, items: tuple[VerifiedApproval, ...], now: Now) -> int:
     """Return how many people stand behind the action, the issuer included, as the check counts."""
     enough = [n for n in range(1, asked.request.required + 1) if not _checked(asked, items, now, n)]
     return max(enough, default=1)
 
 
-def why_not(asked: Asked | None, item: VerifiedApproval, now: Now) -> str:
+def why_not(asked: OpenRequest | None, item: VerifiedApproval, now: Now) -> str:
     """Return the code of why an answer does not count; empty when it does.
 
     The check decides; this only names what is wrong, for whoever answered and for the log.
@@ -167,10 +169,12 @@ def why_not(asked: Asked | None, item: VerifiedApproval, now: Now) -> str:
         item: the answer.
         now: the instant to ask about.
     """
-    if asked is None or (asked.action is UNTOLD and item.approval.verdict is Verdict.APPROVE):
+    if asked is None or (
+        asked.action is UNTOLD and item.approval.verdict is ApprovalVerdict.APPROVE
+    ):
         return str(Reason.APPROVAL_TIMEOUT)
     if fits(asked, item, now):
-        too_late = asked.request.denied and item.approval.verdict is Verdict.APPROVE
+        too_late = asked.request.denied and item.approval.verdict is ApprovalVerdict.APPROVE
         return str(Reason.APPROVAL_DENIED) if too_late else ""
     said, signer, verified = item.approval, item.approver, asked.verified
     wrong = (
@@ -192,21 +196,22 @@ def why_not(asked: Asked | None, item: VerifiedApproval, now: Now) -> str:
     return str(found[0] if found else Reason.ISSUER_MISMATCH)
 
 
-def note_request(act: Act, mid: MissionId, counter: int, seq: int) -> None:
+def note_request(act: Transaction, mid: MissionId, counter: int, seq: int) -> None:
     """Note the number of the record in which a request was opened."""
     act.put(_HELD, _key(mid, counter), str(seq).encode("ascii"))
 
 
-def record_of(act: Act, mid: MissionId, counter: int) -> int | None:
+def record_of(act: Transaction, mid: MissionId, counter: int) -> int | None:
     """Return the number of the record in which a request was opened; None: nobody noted it."""
     held = act.get(_HELD, _key(mid, counter))
     return int(held) if held is not None and held.isdigit() else None
 
 
-def is_denied(asked: Asked, items: tuple[VerifiedApproval, ...], now: Now) -> bool:
+def is_denied(asked: OpenRequest, items: tuple[VerifiedApproval, ...], now: Now) -> bool:
     """True when somebody who may answer denied."""
     return any(
-        item.approval.verdict is Verdict.DENY and not why_not(asked, item, now) for item in items
+        item.approval.verdict is ApprovalVerdict.DENY and not why_not(asked, item, now)
+        for item in items
     )
 
 
@@ -219,7 +224,7 @@ def _named(verified: VerifiedMission) -> tuple[int, str]:
 
 
 def _checked(
-    asked: Asked, items: tuple[VerifiedApproval, ...], now: Now, required: int | None = None
+    asked: OpenRequest, items: tuple[VerifiedApproval, ...], now: Now, required: int | None = None
 ) -> Any:
     """Return what step 7 says of the request with these answers and no others.
 

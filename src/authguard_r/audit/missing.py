@@ -28,7 +28,7 @@ _MOST = 1 << 18
 _MOST_OF_ONE = 1 << 8
 
 
-class Missing(Struct, frozen=True, kw_only=True):
+class MissingValues(Struct, frozen=True, kw_only=True):
     """Values of one name beside the records of one mission.
 
     Args:
@@ -44,7 +44,7 @@ class Missing(Struct, frozen=True, kw_only=True):
     first: Count
 
 
-class Order(Struct, frozen=True):
+class DestructionOrder(Struct, frozen=True):
     """An order to destroy: the mission, `-` for the records of none, and the classes."""
 
     mid: str
@@ -56,17 +56,17 @@ class Gone:
 
     def __init__(self) -> None:
         #: By mission and name, so that an order looks at its own mission alone.
-        self._left: dict[str, dict[str, Missing]] = {}
+        self._left: dict[str, dict[str, MissingValues]] = {}
         self._size = 0
-        self._orders: dict[Order, None] = {}
+        self._orders: dict[DestructionOrder, None] = {}
 
     @property
-    def orders(self) -> tuple[Order, ...]:
+    def orders(self) -> tuple[DestructionOrder, ...]:
         """Every order so far, each once, for what lies before the first record seen here."""
         return tuple(self._orders)
 
     @property
-    def left(self) -> tuple[Missing, ...]:
+    def left(self) -> tuple[MissingValues, ...]:
         """What no order explains, in the order in which it was found."""
         every = (one for of in self._left.values() for one in of.values())
         return tuple(sorted(every, key=lambda one: (one.first, one.name)))
@@ -77,15 +77,15 @@ class Gone:
         has_box = any(name.startswith(BOX) for name in names)
         for name in set(names).difference(beside):
             if name.startswith((BOX, WRAP)) or name in _NEVER_BOXED or not has_box:
-                self._add(Missing(mid=mid, name=name, count=1, first=seq))
+                self._add(MissingValues(mid=mid, name=name, count=1, first=seq))
 
     def hear(self, decision: str, opened: dict[str, Any]) -> None:
         """Take in an order, if it is one: what it names may be gone up to here."""
         of, classes = opened.get("of"), opened.get("classes")
         if decision == _ORDER and isinstance(of, str) and isinstance(classes, list):
-            self.carry_out(Order(of, tuple(map(str, classes))))
+            self.carry_out(DestructionOrder(of, tuple(map(str, classes))))
 
-    def carry_out(self, order: Order) -> None:
+    def carry_out(self, order: DestructionOrder) -> None:
         """Let go of what an order explains."""
         self._orders[order] = None
         left = self._left.pop(order.mid, {})
@@ -94,14 +94,14 @@ class Gone:
         if kept:
             self._left[order.mid] = kept
 
-    def join(self, orders: Iterable[Order], left: Iterable[Missing]) -> None:
+    def join(self, orders: Iterable[DestructionOrder], left: Iterable[MissingValues]) -> None:
         """Take in what is missing of the next piece of the log, and the orders in it."""
         for order in orders:
             self.carry_out(order)
         for one in left:
             self._add(one)
 
-    def _add(self, one: Missing) -> None:
+    def _add(self, one: MissingValues) -> None:
         of = self._left.get(one.mid, {})
         if one.name not in of and (self._size >= _MOST or len(of) >= _MOST_OF_ONE):
             one = replace(one, mid="*", name="*")
@@ -112,7 +112,7 @@ class Gone:
         self._left[one.mid] = of
 
 
-def told(left: Iterable[Missing]) -> Iterator[str]:
+def told(left: Iterable[MissingValues]) -> Iterator[str]:
     """Yield what is missing, for people."""
     for one in left:
         of = "" if one.mid == "-" else f" of mission {one.mid}"
@@ -120,7 +120,7 @@ def told(left: Iterable[Missing]) -> Iterator[str]:
         yield f"MISSING: {one.count} x `{one.name}`{of}, {where}: no order says why"
 
 
-def _explains(order: Order, one: Missing) -> bool:
+def _explains(order: DestructionOrder, one: MissingValues) -> bool:
     for front in (BOX, WRAP):
         if one.mid == order.mid and one.name.startswith(front):
             return not set(order.classes).isdisjoint(one.name.removeprefix(front).split("+"))

@@ -29,10 +29,10 @@ from msgspec import Struct
 from authguard_r.audit.record import Terminal
 from authguard_r.audit.verify import (
     Anchor,
+    LogRow,
+    LogVerifier,
     Piece,
-    Row,
     Verification,
-    Verifier,
     verify_piece,
     verify_rows,
 )
@@ -50,18 +50,18 @@ _BYTES, _KEPT_BYTES = 1 << 21, 1 << 24
 _MAIN = "from authguard_r.audit.parallel import serve; serve(0)"
 
 
-class _Asked(Struct, frozen=True):
+class _PieceTask(Struct, frozen=True):
     """What a process is asked: `verify_piece`."""
 
     first: int
     with_tree: bool
-    rows: list[Row]
+    rows: list[LogRow]
 
 
 class _Given(Struct):
     """A piece that waits to be joined, with its rows."""
 
-    asked: _Asked
+    asked: _PieceTask
     bytes: int
     piece: Piece | None = None
     is_answered: bool = False
@@ -77,7 +77,7 @@ def usable_jobs() -> int:
 
 
 def verify_in_pieces(
-    rows: Iterable[Row],
+    rows: Iterable[LogRow],
     *,
     jobs: int,
     terminal: Terminal | None = None,
@@ -98,7 +98,7 @@ def verify_in_pieces(
     """
     if jobs <= 1:
         return verify_rows(rows, terminal=terminal, anchors=anchors)
-    verifier = Verifier(terminal=terminal, anchors=anchors)
+    verifier = LogVerifier(terminal=terminal, anchors=anchors)
     with _Helpers(jobs - 1) as helpers:
         return _Course(_Reading(rows, verifier.cuts), verifier, helpers, alone).run()
 
@@ -111,7 +111,7 @@ class _Reading:
         cuts: sizes at which a piece ends, in order.
     """
 
-    def __init__(self, rows: Iterable[Row], cuts: tuple[int, ...]) -> None:
+    def __init__(self, rows: Iterable[LogRow], cuts: tuple[int, ...]) -> None:
         self._rows = iter(rows)
         self._cuts = cuts
         self._error: Exception | None = None
@@ -133,9 +133,9 @@ class _Reading:
         except (AuthGuardError, OSError) as error:
             self._error = error  # what was read before it may have a fault, which comes first
         self.size += len(found)
-        return _Given(_Asked(first, with_tree, found), size) if found else None
+        return _Given(_PieceTask(first, with_tree, found), size) if found else None
 
-    def rest(self) -> Iterator[Row]:
+    def rest(self) -> Iterator[LogRow]:
         """Yield what was not read yet, and raise what reading raised."""
         yield from self._rows
         if self._error is not None:
@@ -146,7 +146,7 @@ class _Course:
     """One log on its way through the processes."""
 
     def __init__(
-        self, reading: _Reading, verifier: Verifier, helpers: _Helpers, alone: int
+        self, reading: _Reading, verifier: LogVerifier, helpers: _Helpers, alone: int
     ) -> None:
         self._reading = reading
         self._verifier = verifier
@@ -197,7 +197,7 @@ class _Course:
             self._bytes -= self._given.popleft().bytes
         return True
 
-    def _left(self) -> Iterator[Row]:
+    def _left(self) -> Iterator[LogRow]:
         """Yield every row that was not joined."""
         for given in self._given:
             yield from given.asked.rows
@@ -329,7 +329,7 @@ def serve(descriptor: int) -> None:
         try:
             line.send_bytes(b"")
             while True:
-                asked = msgspec.msgpack.decode(line.recv_bytes(), type=_Asked)
+                asked = msgspec.msgpack.decode(line.recv_bytes(), type=_PieceTask)
                 piece = verify_piece(asked.rows, asked.first, with_tree=asked.with_tree)
                 line.send_bytes(msgspec.msgpack.encode(piece))
         except (EOFError, OSError):

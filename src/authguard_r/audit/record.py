@@ -102,13 +102,13 @@ def append(turn: Turn, entry: Entry, *, salts: bytes) -> int:
         entry: what to record; the names of what it seals are identifiers.
         salts: 16 fresh random bytes for each sealed value.
     """
-    beside = Beside()
+    beside = Attachment()
     for place, name in enumerate(sorted(entry.sealed)):
         beside.add(name, spelled(entry.sealed[name], salts[16 * place : 16 * place + 16]))
     return write(turn, entry, beside)
 
 
-class Beside:
+class Attachment:
     """What is put beside one record, and what the record says of it.
 
     A name is added once; what is only committed to lies somewhere else, or nowhere.
@@ -143,7 +143,7 @@ def joined(items: dict[str, bytes]) -> bytes:
     return b"{" + b",".join(b"%b:{%b" % (encode_fast(n), items[n]) for n in sorted(items)) + b"}"
 
 
-def write(turn: Turn, entry: Entry, beside: Beside) -> int:
+def write(turn: Turn, entry: Entry, beside: Attachment) -> int:
     """Append the record of an entry whose sealed values were spelled; return its number."""
     seq, prev = turn.head()
     linked = Link(

@@ -27,7 +27,7 @@ from msgspec.structs import replace
 from authguard_r.audit.record import (
     BOX,
     NONE,
-    Beside,
+    Attachment,
     Entry,
     Record,
     Sealed,
@@ -38,7 +38,7 @@ from authguard_r.audit.record import (
     spelled,
     write,
 )
-from authguard_r.audit.verify import Row
+from authguard_r.audit.verify import LogRow
 from authguard_r.core.encoding import b64, encode_fast, unb64
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Base64Url, Count, RobotId
@@ -109,7 +109,7 @@ class Cover(Struct, frozen=True, kw_only=True):
     ciphers: dict[Classes, AESGCM] = {}
 
 
-class Box(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class SealedEnvelope(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Sealed values that are sealed together.
 
     Args:
@@ -151,7 +151,7 @@ def append_covered(turn: Turn, entry: Entry, cover: Cover, *, salts: Callable[[i
         salts: returns that many fresh random bytes.
     """
     seq = turn.head()[0]
-    beside = Beside()
+    beside = Attachment()
     boxes: dict[Classes, dict[str, bytes]] = {}
     entry = _without_words(entry, cover)
     for name, value in sorted(_fields(entry, cover).items()):
@@ -173,7 +173,7 @@ def append_covered(turn: Turn, entry: Entry, cover: Cover, *, salts: Callable[[i
     return write(turn, entry, beside)
 
 
-def opened(row: Row, *, robot: RobotId, key_of: KeyOf) -> Row:
+def opened(row: LogRow, *, robot: RobotId, key_of: KeyOf) -> LogRow:
     """Return the row as it would be had nothing of it been sealed, as far as the keys go.
 
     A box that stays closed lies beside the record as before, one that opened is gone from there
@@ -226,7 +226,7 @@ def _opened(
     """Return what lies in a box, None without all of its keys."""
     where = f"record {record.link.seq}: {name}"
     try:
-        box = msgspec.convert(sealed.value, Box)
+        box = msgspec.convert(sealed.value, SealedEnvelope)
         classes = tuple(map(DataClass, name.removeprefix(BOX).split("+")))
     except (msgspec.ValidationError, ValueError) as error:
         raise MalformedError(f"expected a box: {error}", where=where) from error
@@ -314,14 +314,14 @@ def _fields(entry: Entry, cover: Cover) -> dict[str, Any]:
 
 def _sealed(
     items: dict[str, bytes], cover: Cover, place: _Where, salts: Callable[[int], bytes]
-) -> Box:
+) -> SealedEnvelope:
     nonce = salts(_NONCE)
     cipher = cover.ciphers.get(place.classes)
     if cipher is None:
         cipher = _cipher(cover.classes[one] for one in place.classes)
         cover.ciphers[place.classes] = cipher
     text = cipher.encrypt(nonce, joined(items), encode_fast(place))
-    return Box(keys=cover.keys, nonce=b64(nonce), text=b64(text))
+    return SealedEnvelope(keys=cover.keys, nonce=b64(nonce), text=b64(text))
 
 
 def _cipher(keys: Iterable[bytes]) -> AESGCM:

@@ -21,7 +21,7 @@ import msgspec
 from msgspec import Struct
 
 from authguard_r.audit.checkpoint import Checkpoint
-from authguard_r.audit.missing import Gone, Missing, Order
+from authguard_r.audit.missing import DestructionOrder, Gone, MissingValues
 from authguard_r.audit.record import Sealed, Terminal
 from authguard_r.audit.tree import Frontier, leaf_hash
 from authguard_r.core.chain import GENESIS
@@ -50,7 +50,7 @@ _USUAL = frozenset(
 )
 
 
-class Row(Struct, frozen=True, gc=False):
+class LogRow(Struct, frozen=True, gc=False):
     """One stored row: number, record, the values beside it, and its link."""
 
     seq: int
@@ -99,7 +99,7 @@ class Verification(Struct, frozen=True, kw_only=True):
     anchors: tuple[tuple[str, int], ...] = ()
     fault: str = ""
     where: str = ""
-    missing: tuple[Missing, ...] = ()
+    missing: tuple[MissingValues, ...] = ()
 
 
 def of_checkpoint(checkpoint: Checkpoint, *, witnessed: bool = False) -> Anchor:
@@ -137,12 +137,12 @@ class Piece(Struct, frozen=True, kw_only=True):
     size: int
     link: bytes
     subtrees: tuple[tuple[int, bytes], ...] = ()
-    missing: tuple[Missing, ...] = ()
-    orders: tuple[Order, ...] = ()
+    missing: tuple[MissingValues, ...] = ()
+    orders: tuple[DestructionOrder, ...] = ()
 
 
 def verify_rows(
-    rows: Iterable[Row], *, terminal: Terminal | None = None, anchors: Sequence[Anchor] = ()
+    rows: Iterable[LogRow], *, terminal: Terminal | None = None, anchors: Sequence[Anchor] = ()
 ) -> Verification:
     """Return whether the chain holds, and whether it fits what is known from outside.
 
@@ -152,10 +152,10 @@ def verify_rows(
         anchors: what authentic checkpoints say of it; of two that say as much the later one is
             told of.
     """
-    return Verifier(terminal=terminal, anchors=anchors).finish(rows)
+    return LogVerifier(terminal=terminal, anchors=anchors).finish(rows)
 
 
-def verify_piece(rows: Sequence[Row], first: int, *, with_tree: bool) -> Piece | None:
+def verify_piece(rows: Sequence[LogRow], first: int, *, with_tree: bool) -> Piece | None:
     """Return a piece of a log, verified apart from what lies before it.
 
     None when anything is wrong with it: what that is and where, says `Verifier.finish` of the same
@@ -167,7 +167,7 @@ def verify_piece(rows: Sequence[Row], first: int, *, with_tree: bool) -> Piece |
         with_tree: whether a root is asked for.
     """
     try:
-        prev = decode(rows[0].record, _Told).link.prev
+        prev = decode(rows[0].record, _RecordFields).link.prev
     except MalformedError:
         return None
     chain = _Chain(first, prev)
@@ -185,7 +185,7 @@ def verify_piece(rows: Sequence[Row], first: int, *, with_tree: bool) -> Piece |
     )
 
 
-class Verifier:
+class LogVerifier:
     """A log as far as it was verified, and what is known of it from outside.
 
     Args:
@@ -221,7 +221,7 @@ class Verifier:
         self._misfit = self._against.joined(piece)
         return not self._misfit
 
-    def finish(self, rows: Iterable[Row]) -> Verification:
+    def finish(self, rows: Iterable[LogRow]) -> Verification:
         """Return what was found, with the rest of the log.
 
         Args:
@@ -327,7 +327,7 @@ class _Linked(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, gc=
     evidence: str
 
 
-class _Told(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class _RecordFields(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """`Record`, in the same way."""
 
     link: _Linked
@@ -336,7 +336,7 @@ class _Told(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     committed: dict[str, str]
 
 
-class _Named:
+class _NamedValues:
     """Sealed values under these names: what stands around them, beside a record and hashed.
 
     Args:
@@ -369,13 +369,13 @@ class _Chain:
         self.size = size
         self.head = head
         self.gone = Gone()
-        self._named: dict[tuple[str, ...], _Named] = {}
+        self._named: dict[tuple[str, ...], _NamedValues] = {}
 
-    def fault(self, row: Row) -> str:
+    def fault(self, row: LogRow) -> str:
         """Return what is wrong with the next row, empty when nothing is and it was taken in."""
         data, seq = row.record, self.size
         try:
-            record = decode(data, _Told)
+            record = decode(data, _RecordFields)
             link = record.link
             _require_words(record.kind, link.decision)
             named, tails = self._sealed(row.sealed)
@@ -409,7 +409,7 @@ class _Chain:
         self.size, self.head = seq + 1, head
         return ""
 
-    def _sealed(self, sealed: bytes) -> tuple[_Named, list[bytes]]:
+    def _sealed(self, sealed: bytes) -> tuple[_NamedValues, list[bytes]]:
         """Return the names of sealed values, and the canonical bytes of each behind its brace.
 
         Raises:
@@ -426,7 +426,7 @@ class _Chain:
         if named is None:
             if len(self._named) >= _MOST_NAMED:
                 self._named.clear()
-            named = self._named[names] = _Named(names)
+            named = self._named[names] = _NamedValues(names)
         # a line for each; canonical bytes hold no line break
         tails = _LINES.encode_lines([*read.values()])[1:-1].split(b"\n{") if names else []
         if not named.canonical or named.around % tuple(tails) != sealed:

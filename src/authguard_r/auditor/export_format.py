@@ -13,7 +13,7 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
-from authguard_r.audit.verify import Row
+from authguard_r.audit.verify import LogRow
 from authguard_r.core.encoding import b64, encode_fast, unb64
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
@@ -50,7 +50,7 @@ def is_export(path: Path) -> bool:
         return file.read(1) == _BEGINS
 
 
-def row_line(row: Row) -> bytes:
+def row_line(row: LogRow) -> bytes:
     """Return the line of a row.
 
     Raises:
@@ -75,7 +75,7 @@ def note_line(note: bytes) -> bytes:
         raise MalformedError("expected UTF-8", where="checkpoint") from error
 
 
-def exported_rows(path: Path) -> Iterator[Row]:
+def exported_rows(path: Path) -> Iterator[LogRow]:
     """Yield the rows of an exported log; the checkpoint is not one.
 
     Raises:
@@ -110,7 +110,7 @@ def exported_note(path: Path) -> bytes | None:
     return said.checkpoint.encode() if isinstance(said, ExportedNote) else None
 
 
-def _row(line: bytes, where: str) -> Row | None:
+def _row(line: bytes, where: str) -> LogRow | None:
     """Return the row of a line, None for the checkpoint."""
     try:
         said = _ROW.decode(line)
@@ -123,7 +123,7 @@ def _row(line: bytes, where: str) -> Row | None:
             return None
         said = strict
     record, sealed = said.record.encode(), said.sealed.encode()
-    return Row(said.seq, record, sealed, unb64(said.link, where=f"{where}: link"))
+    return LogRow(said.seq, record, sealed, unb64(said.link, where=f"{where}: link"))
 
 
 def _strict(line: bytes, where: str) -> ExportedRow | ExportedNote:

@@ -17,20 +17,14 @@ import typer
 
 from authguard_r.authoring.compile.request import action_line, brief, card
 from authguard_r.cli.ask import confirm_shown
-from authguard_r.cli.gateway import (
-    GateOption,
-    ProofOption,
-    Reading,
-    RoleOption,
-    connected,
-)
+from authguard_r.cli.gateway import GateOption, ProofOption, ReadingRole, RoleOption, connected
 from authguard_r.cli.inputs import JsonFlag, load_site
 from authguard_r.cli.out import emit, printed
 from authguard_r.cli.signing_key import PassphraseFile, open_signer
 from authguard_r.cli.watch import ENDED, event_line
 from authguard_r.client import GateClient
-from authguard_r.client.approvals import Shown, shown
-from authguard_r.core.approval import Verdict
+from authguard_r.client.approvals import ShownRequest, shown
+from authguard_r.core.approval import ApprovalVerdict
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.keys.signer import FileSigner
 from authguard_r.site.model import Site
@@ -52,7 +46,7 @@ YesFlag = Annotated[bool, typer.Option("--yes", help="Do not ask; for scripts.")
 @app.command("list")
 def list_command(
     gate: GateOption = None,
-    role: RoleOption = Reading.OPERATOR,
+    role: RoleOption = ReadingRole.OPERATOR,
     trust: ProofOption = None,
     site: SiteChoice = None,
     as_json: JsonFlag = False,
@@ -71,7 +65,7 @@ def list_command(
 def show_command(
     counter: CounterArgument,
     gate: GateOption = None,
-    role: RoleOption = Reading.OPERATOR,
+    role: RoleOption = ReadingRole.OPERATOR,
     trust: ProofOption = None,
     site: SiteChoice = None,
     as_json: JsonFlag = False,
@@ -100,7 +94,7 @@ def approve_command(
     """Show a request, ask, sign an approval and hand it in; exit 1 when it does not count."""
     return _answer(
         counter,
-        Verdict.APPROVE,
+        ApprovalVerdict.APPROVE,
         open_signer(key, cert, passphrase_file),
         gate,
         trust,
@@ -131,7 +125,7 @@ def deny_command(
         raise typer.BadParameter("say why", param_hint="--reason")
     return _answer(
         counter,
-        Verdict.DENY,
+        ApprovalVerdict.DENY,
         open_signer(key, cert, passphrase_file),
         gate,
         trust,
@@ -145,7 +139,7 @@ def deny_command(
 @app.command("watch")
 def watch_command(
     gate: GateOption = None,
-    role: RoleOption = Reading.OPERATOR,
+    role: RoleOption = ReadingRole.OPERATOR,
     trust: ProofOption = None,
     jsonl: Annotated[bool, typer.Option("--jsonl", help="One event a line, as JSON.")] = False,
     count: Annotated[
@@ -174,7 +168,7 @@ def watch_command(
 
 def _answer(
     counter: int,
-    verdict: Verdict,
+    verdict: ApprovalVerdict,
     signer: FileSigner,
     gate: Path | None,
     trust: Path | None,
@@ -185,7 +179,7 @@ def _answer(
     as_json: bool,
 ) -> int:
     model = None if site is None else load_site(site)
-    with connected(gate, Reading.OPERATOR, trust) as client:
+    with connected(gate, ReadingRole.OPERATOR, trust) as client:
         question = client.approval(counter)
         lines = card(question, shown(question), model)
         if not yes:
@@ -195,12 +189,12 @@ def _answer(
     worth = told.get("why_not")
     said = f"request {counter}: {told.get('approver')} {_SAID[verdict]}"
     behind = None if left is None else left.behind
-    in_vain = verdict is Verdict.APPROVE and left is not None and left.denied
+    in_vain = verdict is ApprovalVerdict.APPROVE and left is not None and left.denied
     if in_vain:
         result = [f"{said}, but somebody denied: the request is closed"]
     elif worth:
         result = [f"{said}, but it does not count: {worth}"]
-    elif left is not None and verdict is Verdict.APPROVE:
+    elif left is not None and verdict is ApprovalVerdict.APPROVE:
         result = [said, f"{behind} of {left.required} people are behind it"]
     else:
         result = [said]
@@ -211,7 +205,7 @@ def _answer(
     return 0 if counts else 1
 
 
-_SAID = {Verdict.APPROVE: "approves", Verdict.DENY: "denies"}
+_SAID = {ApprovalVerdict.APPROVE: "approves", ApprovalVerdict.DENY: "denies"}
 
 
 def _left(client: GateClient, counter: int) -> Question | None:
@@ -231,7 +225,7 @@ def _brief(question: Question, site: Site | None) -> list[str]:
 
 def _payload(question: Question) -> dict[str, Any]:
     """Return a request as JSON, with the effect out of its bytes; null when they do not fit."""
-    opened: Shown | None = None
+    opened: ShownRequest | None = None
     with suppress(AuthGuardError):
         opened = shown(question)
     plain: dict[str, Any] = msgspec.to_builtins(question)

@@ -20,7 +20,7 @@ from authguard_r.authoring.compile.draft import Draft
 from authguard_r.authoring.keys.setup import demo_members, init_folder
 from authguard_r.cli.inputs import JsonFlag, read_binding, read_context
 from authguard_r.cli.out import emit, report_lines
-from authguard_r.cli.run import Run, run_plan
+from authguard_r.cli.run import PlanResult, run_plan
 from authguard_r.core.encoding import Tag, b64, digest
 from authguard_r.core.identifiers import Digest, RobotId
 from authguard_r.core.quantities import Now
@@ -157,7 +157,7 @@ def _sign(stage: _Stage, simulation: Simulation, name: str, before: bytes | None
     return token
 
 
-def _run(stage: _Stage, simulation: Simulation, reply: str, context: Path | None) -> Run:
+def _run(stage: _Stage, simulation: Simulation, reply: str, context: Path | None) -> PlanResult:
     spellings, channels = simulation.binder.spellings(), stage.site.channels
     ledger = read_context(context, spellings, channels=channels)
     plan = read_file(stage.files / "replies" / f"{reply}.json")
@@ -209,11 +209,11 @@ def _as_told(story: dict[str, Any], verified: Verification) -> bool:
     )
 
 
-def _acts(run: Run) -> list[dict[str, Any]]:
+def _acts(run: PlanResult) -> list[dict[str, Any]]:
     return [report_json(report) for report in run.reports]
 
 
-def _told(what: str, run: Run) -> list[str]:
+def _told(what: str, run: PlanResult) -> list[str]:
     return [
         f"  {what}",
         *(f"    {line}" for report in run.reports for line in report_lines(report)),

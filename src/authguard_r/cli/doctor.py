@@ -21,8 +21,8 @@ from authguard_r.cli.inputs import JsonFlag, load_site, read_binding, wall_now
 from authguard_r.cli.out import emit
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.keys.trust import read_trust
-from authguard_r.operations.checkup import Setup, checkup, is_safe
-from authguard_r.operations.checkup.advice import Advice, Code, Level, unsafe, warning
+from authguard_r.operations.checkup import GateSetup, checkup, is_safe
+from authguard_r.operations.checkup.advice import Advice, AdviceCode, Level, unsafe, warning
 from authguard_r.site.check import unreviewed
 from authguard_r.site.model import Site
 
@@ -127,7 +127,7 @@ def doctor(
     if enclave is not None and ros_map is None:
         raise typer.BadParameter("it is looked at by its map alone", param_hint="--enclave")
     believed = (site, binding, config, named.risk, named.emergency, ros_map)
-    setup = Setup(
+    setup = GateSetup(
         demo=_is_demo(trust),
         uid=os.geteuid() if user is None else user_number(user, where="--user"),
         trust=trust,
@@ -172,8 +172,8 @@ def _require_both(*parts: tuple[Path | None, Path | None, str]) -> None:
 
 
 def _read(
-    setup: Setup, compare: list[str] | None, config: Path | None
-) -> tuple[Setup, list[Advice]]:
+    setup: GateSetup, compare: list[str] | None, config: Path | None
+) -> tuple[GateSetup, list[Advice]]:
     """Return the set-up with those of its parts that can be read, and what is wrong with others.
 
     Args:
@@ -183,22 +183,26 @@ def _read(
     """
     faults: list[Advice] = []
     trust, binding = setup.trust, setup.tools
-    model = _part(faults, "site", Code.SITE, setup.model, lambda path: load_site(path, trust))
+    model = _part(faults, "site", AdviceCode.SITE, setup.model, lambda path: load_site(path, trust))
     tools = surfaces = configured = None
     if model is not None:
-        tools = _part(faults, "binding", Code.BINDING, binding, lambda p: read_binding(p, model))
+        tools = _part(
+            faults, "binding", AdviceCode.BINDING, binding, lambda p: read_binding(p, model)
+        )
         surfaces = _part(
-            faults, "binding", Code.BINDING, binding, lambda p: compared_with(str(p), compare)
+            faults, "binding", AdviceCode.BINDING, binding, lambda p: compared_with(str(p), compare)
         )
     if trust is not None:
-        configured = _part(faults, "config", Code.CONFIG, config, lambda p: open_config(p, trust))
+        configured = _part(
+            faults, "config", AdviceCode.CONFIG, config, lambda p: open_config(p, trust)
+        )
     return replace(
         setup, site=model, binding=tools, interface=surfaces or (), config=configured
     ), faults
 
 
 def _part(
-    faults: list[Advice], part: str, code: Code, path: Path | None, read: Callable[[Path], T]
+    faults: list[Advice], part: str, code: AdviceCode, path: Path | None, read: Callable[[Path], T]
 ) -> T | None:
     """Return a part once it can be read; what is wrong with it is one more finding."""
     if path is None:
@@ -206,7 +210,7 @@ def _part(
     try:
         return read(path)
     except AuthGuardError as error:
-        mend = f"authguard {'gate-config' if code is Code.CONFIG else part} --help"
+        mend = f"authguard {'gate-config' if code is AdviceCode.CONFIG else part} --help"
         faults.append(unsafe(part, code, str(error), place=str(path), mend=mend))
         return None
 
@@ -216,12 +220,12 @@ def _open(model: Site | None, path: Path | None) -> Iterator[Advice]:
     mend = f"authguard site check {path}"
     for place in () if model is None else unreviewed(model):
         message = "unreviewed: nobody has looked at it, and nobody can sign it so"
-        yield warning("site", Code.SITE, message, place=place, mend=mend)
+        yield warning("site", AdviceCode.SITE, message, place=place, mend=mend)
     for robot, held in () if model is None else model.robots.items():
         if not held.profile.tools:
             place = f"robots.{robot}.profile.tools"
             yield warning(
-                "site", Code.SITE, f"`{robot}` can do nothing yet", place=place, mend=mend
+                "site", AdviceCode.SITE, f"`{robot}` can do nothing yet", place=place, mend=mend
             )
 
 

@@ -33,8 +33,8 @@ from authguard_r.keys.trust import (
     read_file,
     read_trust,
 )
-from authguard_r.operations.checkup import Setup
-from authguard_r.operations.checkup.advice import Advice, Code, fine, unsafe, warning
+from authguard_r.operations.checkup import GateSetup
+from authguard_r.operations.checkup.advice import Advice, AdviceCode, fine, unsafe, warning
 from authguard_r.operations.checkup.certificates import SOON_MS
 from authguard_r.site.model import Site
 from authguard_r.store.clocks import SystemClock
@@ -55,7 +55,7 @@ class Policies(Struct, frozen=True, kw_only=True):
     emergency: Path | None = None
 
 
-def policy_advice(named: Policies, setup: Setup, now: Now) -> Iterator[Advice]:
+def policy_advice(named: Policies, setup: GateSetup, now: Now) -> Iterator[Advice]:
     """Yield whether a gate with this set-up takes its policies, and how long it will.
 
     Args:
@@ -74,7 +74,7 @@ def policy_advice(named: Policies, setup: Setup, now: Now) -> Iterator[Advice]:
         yield from _emergency(named.emergency, trust, setup.site, setup, now)
 
 
-def _risk(path: Path | None, trust: Trust, setup: Setup, now: Now) -> Iterator[Advice]:
+def _risk(path: Path | None, trust: Trust, setup: GateSetup, now: Now) -> Iterator[Advice]:
     """The organization's policy; that there is none counts too, where a whole gate is looked at."""
     opened: VerifiedPolicy | None = None
     if path is not None:
@@ -108,10 +108,12 @@ def _held(policy: VerifiedPolicy | None, store: Path | None, path: Path | None) 
         paper.run(lambda act: hold_policy(act, policy))
     except AuthGuardError as error:
         mend = "name the policy that is in force: --risk-policy" if path is None else _mend(_RISK)
-        yield unsafe(_RISK, Code.CONFIG, str(error), place=str(path or store), mend=mend)
+        yield unsafe(_RISK, AdviceCode.CONFIG, str(error), place=str(path or store), mend=mend)
 
 
-def _emergency(path: Path, trust: Trust, site: Site, setup: Setup, now: Now) -> Iterator[Advice]:
+def _emergency(
+    path: Path, trust: Trust, site: Site, setup: GateSetup, now: Now
+) -> Iterator[Advice]:
     """The safety officer's policy, of this robot at this site."""
     try:
         data = read_file(path)
@@ -125,7 +127,7 @@ def _emergency(path: Path, trust: Trust, site: Site, setup: Setup, now: Now) -> 
     yield _lasting(_EMERGENCY, path, told, _ends_ms(opened, trust, now), now)
 
 
-def _robot(trust: Trust, setup: Setup, now: Now) -> RobotId | None:
+def _robot(trust: Trust, setup: GateSetup, now: Now) -> RobotId | None:
     """Return whose gate it is, from its configuration or its certificate; None: neither says."""
     if setup.config is not None:
         return setup.config.robot
@@ -158,12 +160,12 @@ def _lasting(part: str, path: Path, told: str, ends_ms: int, now: Now) -> Advice
     place, until = str(path), to_timestamp(ends_ms)
     if ends_ms - now.utc_ms < SOON_MS:
         message = f"{told}: no gate starts with it after {until}"
-        return warning(part, Code.CONFIG, message, place=place, mend=_mend(part))
-    return fine(part, Code.CONFIG, f"{told}, until {until}", place=place)
+        return warning(part, AdviceCode.CONFIG, message, place=place, mend=_mend(part))
+    return fine(part, AdviceCode.CONFIG, f"{told}, until {until}", place=place)
 
 
 def _refused(part: str, path: Path, error: AuthGuardError) -> Advice:
-    return unsafe(part, Code.CONFIG, str(error), place=str(path), mend=_mend(part))
+    return unsafe(part, AdviceCode.CONFIG, str(error), place=str(path), mend=_mend(part))
 
 
 def _mend(part: str) -> str:

@@ -19,13 +19,13 @@ from authguard_r.cli.ros import require_extra
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault, MalformedError
 from authguard_r.integrations.ros.calls import fitted
 from authguard_r.integrations.ros.map import RosMap, read_map
-from authguard_r.integrations.ros.names import Part
+from authguard_r.integrations.ros.names import TypePart
 from authguard_r.integrations.ros.rights import rights_of
 from authguard_r.keys.trust import read_file
-from authguard_r.operations.checkup import Setup
+from authguard_r.operations.checkup import GateSetup
 from authguard_r.operations.checkup.advice import (
     Advice,
-    Code,
+    AdviceCode,
     fine,
     in_demonstration,
     unsafe,
@@ -57,7 +57,7 @@ class RosParts(Struct, frozen=True, kw_only=True):
 
 
 def ros_advice(
-    named: RosParts, setup: Setup, environment: Mapping[str, str] = os.environ
+    named: RosParts, setup: GateSetup, environment: Mapping[str, str] = os.environ
 ) -> Iterator[Advice]:
     """Yield whether the processes of a robot on ROS 2 would start, and whom they would let pass.
 
@@ -72,10 +72,10 @@ def ros_advice(
         ros = read_map(named.ros)
     except AuthGuardError as error:
         place, mend = error.where or str(named.ros), f"authguard ros check {named.ros}"
-        yield unsafe(_MAP, Code.ROS_MAP, error.message, place=place, mend=mend)
+        yield unsafe(_MAP, AdviceCode.ROS_MAP, error.message, place=place, mend=mend)
         return
     told = f"`{ros.robot}`, domain {ros.domain}, {len(ros.mediated)} mediated"
-    yield fine(_MAP, Code.ROS_MAP, told, place=str(named.ros))
+    yield fine(_MAP, AdviceCode.ROS_MAP, told, place=str(named.ros))
     yield from _fitted(ros, named.ros, setup)
     yield from _clocks(ros)
     yield rmw_advice(environment)
@@ -84,7 +84,7 @@ def ros_advice(
         require_extra()
     except EnvironmentFault as error:
         mend = "pip install 'authguard-r[ros]'"
-        yield unsafe(_KEYSTORE, Code.LIBRARY, error.message, place=error.where, mend=mend)
+        yield unsafe(_KEYSTORE, AdviceCode.LIBRARY, error.message, place=error.where, mend=mend)
         return
     yield from _enforced(ros, named, environment, setup.uid)
     if named.keystore is not None:
@@ -92,21 +92,25 @@ def ros_advice(
         yield from map(in_demonstration, found) if setup.demo else found
 
 
-def _fitted(ros: RosMap, path: Path, setup: Setup) -> Iterator[Advice]:
+def _fitted(ros: RosMap, path: Path, setup: GateSetup) -> Iterator[Advice]:
     """Whether the gate's node serves this map with the gate's binding at this site."""
     mend = f"authguard ros check {path} --binding BINDING --site SITE"
     if setup.binding is None or setup.site is None:
         message = "compared with no binding: nothing shows that each name is one of its ways"
-        yield warning(_MAP, Code.BINDING, message, place=str(path), mend=mend)
+        yield warning(_MAP, AdviceCode.BINDING, message, place=str(path), mend=mend)
         return
     try:
         fitted(setup.binding, ros, setup.site)
     except MalformedError as error:
         yield unsafe(
-            _MAP, Code.BINDING, f"{error.message} (at {error.where})", place=str(path), mend=mend
+            _MAP,
+            AdviceCode.BINDING,
+            f"{error.message} (at {error.where})",
+            place=str(path),
+            mend=mend,
         )
     else:
-        yield fine(_MAP, Code.BINDING, "every mediated name is a way of the binding")
+        yield fine(_MAP, AdviceCode.BINDING, "every mediated name is a way of the binding")
 
 
 def _clocks(ros: RosMap) -> Iterator[Advice]:
@@ -115,10 +119,12 @@ def _clocks(ros: RosMap) -> Iterator[Advice]:
     for enclave in found:
         message = f"`{enclave}` may publish `/clock`: it stops every timer under `use_sim_time`"
         mend = "leave `/clock` out of the map: a robot has no simulated time"
-        yield unsafe("ros clock", Code.ROS_CLOCK, message, place=f"processes.{enclave}", mend=mend)
+        yield unsafe(
+            "ros clock", AdviceCode.ROS_CLOCK, message, place=f"processes.{enclave}", mend=mend
+        )
     if not found:
         message = "nobody may publish `/clock`; ours count on the monotonic clock alone"
-        yield fine("ros clock", Code.ROS_CLOCK, message)
+        yield fine("ros clock", AdviceCode.ROS_CLOCK, message)
 
 
 def rmw_advice(environment: Mapping[str, str]) -> Advice:
@@ -132,12 +138,12 @@ def rmw_advice(environment: Mapping[str, str]) -> Advice:
     if library is not None and _INSECURE in read_file(library):
         message = f"`{name}` was built without DDS security: with security on, it makes no node"
         mend = "install ROS 2 as its distribution builds it"
-        return unsafe("rmw", Code.ROS_RMW, message, place=str(library), mend=mend)
+        return unsafe("rmw", AdviceCode.ROS_RMW, message, place=str(library), mend=mend)
     message = f"not known whether `{name}` was built with DDS security"
     mend = "start the dead-man in its enclave: without DDS security it is refused"
     if name not in {*_FASTDDS, "rmw_cyclonedds_cpp"}:
         mend = f"use `{_DEFAULT_RMW}`: another may read no keystore"
-    return warning("rmw", Code.ROS_RMW, message, place=_RMW, mend=mend)
+    return warning("rmw", AdviceCode.ROS_RMW, message, place=_RMW, mend=mend)
 
 
 def _library(environment: Mapping[str, str]) -> Path | None:
@@ -153,7 +159,7 @@ def _types(ros: RosMap) -> Iterator[Advice]:
     """Whether every type of the map is installed here."""
     if find_spec("rclpy") is None or find_spec("rosidl_parser") is None:
         message = "no rclpy here: nobody looked whether the types of the map are installed"
-        yield warning(_TYPES, Code.ROS_TYPE, message, mend="source ROS 2, and ask again")
+        yield warning(_TYPES, AdviceCode.ROS_TYPE, message, mend="source ROS 2, and ask again")
         return
     from authguard_r.integrations.ros.nodes.values import load_type
 
@@ -163,13 +169,13 @@ def _types(ros: RosMap) -> Iterator[Advice]:
     for place, kind in items.items():
         package, part, _ = kind.split("/")
         try:
-            load_type(kind, Part(part))
+            load_type(kind, TypePart(part))
         except AuthGuardError as error:
             mend = f"apt install ros-$ROS_DISTRO-{package.replace('_', '-')}"
-            yield unsafe(_TYPES, Code.ROS_TYPE, error.message, place=place, mend=mend)
+            yield unsafe(_TYPES, AdviceCode.ROS_TYPE, error.message, place=place, mend=mend)
             is_whole = False
     if is_whole:
-        yield fine(_TYPES, Code.ROS_TYPE, f"all {len(items)} of the map load")
+        yield fine(_TYPES, AdviceCode.ROS_TYPE, f"all {len(items)} of the map load")
 
 
 def _enforced(
@@ -188,7 +194,7 @@ def _enforced(
     if enclave not in rights_of(ros):
         message = f"`{enclave}` is no enclave of the map"
         mend = f"name one of its own: {', '.join(rights_of(ros))}"
-        yield unsafe(_SECURITY, Code.ROS_SECURITY, message, place="--enclave", mend=mend)
+        yield unsafe(_SECURITY, AdviceCode.ROS_SECURITY, message, place="--enclave", mend=mend)
         return
     mends = {name: f"export {name}={word}" for name, word in EXACTLY.items()}
     mends |= {DOMAIN: f"export {DOMAIN}={ros.domain}", OVERRIDE: f"unset {OVERRIDE}"}
@@ -197,9 +203,11 @@ def _enforced(
     for fault in faults:
         mend = mends.get(fault.where, f"make it `{enclave}`'s own user's, mode 600; or a new one")
         message = f"as `{enclave}`: {fault.message}"
-        yield unsafe(_SECURITY, Code.ROS_SECURITY, message, place=fault.where, mend=mend)
+        yield unsafe(_SECURITY, AdviceCode.ROS_SECURITY, message, place=fault.where, mend=mend)
     if not faults:
-        yield fine(_SECURITY, Code.ROS_SECURITY, f"a process here is in `{enclave}`, enforced")
+        yield fine(
+            _SECURITY, AdviceCode.ROS_SECURITY, f"a process here is in `{enclave}`, enforced"
+        )
 
 
 def _keystore(ros: RosMap, folder: Path, uid: int) -> Iterator[Advice]:
@@ -211,18 +219,20 @@ def _keystore(ros: RosMap, folder: Path, uid: int) -> Iterator[Advice]:
     try:
         faults = check_keystore(ros, folder)
     except AuthGuardError as error:
-        yield unsafe(_KEYSTORE, Code.ROS_KEYSTORE, error.message, place=error.where, mend=mend)
+        yield unsafe(
+            _KEYSTORE, AdviceCode.ROS_KEYSTORE, error.message, place=error.where, mend=mend
+        )
         return
     for fault in faults:
         message = f"{fault.code}: {fault.message}"
-        yield unsafe(_KEYSTORE, Code.ROS_KEYSTORE, message, place=fault.where, mend=mend)
+        yield unsafe(_KEYSTORE, AdviceCode.ROS_KEYSTORE, message, place=fault.where, mend=mend)
     if not faults:
         message = f"of every enclave there, `{ros.enclaves.gate}` alone can move the robot"
-        yield fine(_KEYSTORE, Code.ROS_KEYSTORE, message, place=str(folder))
+        yield fine(_KEYSTORE, AdviceCode.ROS_KEYSTORE, message, place=str(folder))
     for path in sorted((folder / PRIVATE).glob("*.key.pem")):
         message = "an authority's key: whoever has it can make himself any process"
         yield warning(
-            _KEYSTORE, Code.STRAY_KEY, message, place=str(path), mend="keep it off the robot"
+            _KEYSTORE, AdviceCode.STRAY_KEY, message, place=str(path), mend="keep it off the robot"
         )
     homes = {name: folder / ENCLAVES / name.removeprefix("/") for name in rights_of(ros)}
     # what cannot be looked into was said to be missing
@@ -246,6 +256,6 @@ def _owners(homes: Mapping[str, Path], uid: int) -> Iterator[Advice]:
             message = f"user {owner} has the keys of {', '.join(names)}: each can be the others"
             mend = "give each process a user of its own, and its folder to that user"
             yield unsafe(
-                _KEYSTORE, Code.SHARED_USER, message, place=str(homes[names[0]]), mend=mend
+                _KEYSTORE, AdviceCode.SHARED_USER, message, place=str(homes[names[0]]), mend=mend
             )
     yield from folder_advice(homes.values(), uid=uid)

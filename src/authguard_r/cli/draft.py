@@ -13,7 +13,12 @@ import yaml
 
 from authguard_r.authoring.compile.draft import Draft
 from authguard_r.authoring.drafting.profile import read_profile
-from authguard_r.authoring.drafting.proposal import Proposal, Proposer, Question, clarification
+from authguard_r.authoring.drafting.proposal import (
+    DraftProposal,
+    DraftQuestion,
+    Proposer,
+    clarification,
+)
 from authguard_r.authoring.drafting.template import TemplateProposer
 from authguard_r.cli.ask import AnswerOption, NoInputFlag, may_ask
 from authguard_r.cli.inputs import JsonFlag, NowOption, SiteOption, load_site, wall_now
@@ -82,7 +87,7 @@ def draft_command(
     return _show(proposal, out, as_json=as_json)
 
 
-def _show(proposal: Proposal, out: Path | None, *, as_json: bool) -> int:
+def _show(proposal: DraftProposal, out: Path | None, *, as_json: bool) -> int:
     """Write the draft, or print it where no file was named; what was assumed is always said."""
     text = yaml.safe_dump(proposal.draft, sort_keys=False, allow_unicode=True, width=100)
     noted = [f"assumed {item.field}: {item.value} ({item.why})" for item in proposal.assumed]
@@ -123,7 +128,7 @@ def _answers(given: list[str]) -> dict[str, str]:
     return found
 
 
-def _prompt(question: Question) -> str:
+def _prompt(question: DraftQuestion) -> str:
     """Return a person's answer, by number or in words; an empty one is asked for again."""
     _tell(f"{question.question} ({question.field})")
     for number, candidate in enumerate(question.candidates, 1):

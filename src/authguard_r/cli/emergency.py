@@ -16,7 +16,7 @@ from msgspec import Struct, to_builtins
 
 from authguard_r.authoring.compile.draft import Quantity
 from authguard_r.authoring.compile.units import to_integer
-from authguard_r.cli.gateway import GateOption, ProofOption, Reading, connected
+from authguard_r.cli.gateway import GateOption, ProofOption, ReadingRole, connected
 from authguard_r.cli.inputs import JsonFlag, NowOption, SiteOption, load_site, wall_now
 from authguard_r.cli.orders import signer_of
 from authguard_r.cli.out import emit
@@ -61,7 +61,7 @@ _DAY_MS = int(timedelta(days=1).total_seconds()) * 1_000
 FileArgument = Annotated[Path, typer.Argument(help="A policy as people write it (YAML).")]
 
 
-class Condition(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class GuardForm(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A guard as people write it; `max_age` as `500 ms`."""
 
     variable: VariableId
@@ -77,7 +77,7 @@ class Ability(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     aim: Aim
     type: ActionType
     tool: ToolId
-    guards: tuple[Condition, ...]
+    guards: tuple[GuardForm, ...]
     callers: tuple[Caller, ...]
     max: Quantity
     per_hour: Positive
@@ -90,7 +90,7 @@ class Ability(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     past_safety: bool = False
 
 
-class Form(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class EmergencyForm(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A policy as people write it.
 
     Args:
@@ -201,7 +201,7 @@ def call(
 ) -> int:
     """Call a capability of the gate's emergency policy, as an operator; wait for its end."""
     name = convert(capability, Identifier, where="CAPABILITY")
-    with connected(gate, Reading.OPERATOR, trust) as client:
+    with connected(gate, ReadingRole.OPERATOR, trust) as client:
         told = client.emergency(name, key=key)
     emit(told, list(_told_lines(told)), as_json=as_json)
     succeeded = told["execution"]["outcome"] == "succeeded"
@@ -238,7 +238,7 @@ def _read(file: Path, site: Site, *, now_ms: int) -> EmergencyPolicy:
         ClarificationError: a quantity without its unit.
     """
     where = str(file)
-    form = convert(read_yaml(read_text(file), where=where), Form, where=where)
+    form = convert(read_yaml(read_text(file), where=where), EmergencyForm, where=where)
     if form.robot not in site.robots:
         raise MalformedError(f"the site has no robot `{form.robot}`", where=f"{where}:robot")
     capabilities = [

@@ -17,7 +17,7 @@ from authguard_r.authoring.compile.units import to_integer
 from authguard_r.cli.model_server import TIMEOUT_S
 from authguard_r.core.identifiers import ParameterId
 from authguard_r.normalize import Dialect, Plan
-from authguard_r.normalize.binding import POSE, Argument, Binding, Use, ways
+from authguard_r.normalize.binding import POSE, Argument, ArgumentUse, Binding, ways
 from authguard_r.normalize.parse import read_json
 from authguard_r.normalize.stated import normalize_stated, read_free_text
 from authguard_r.site.model import ActionModel, Site
@@ -61,11 +61,11 @@ class FreeTextReader(Struct, frozen=True, kw_only=True):
             ClarificationError: the text names something by a name of several things.
             EnvironmentFault: the model does not answer in time, or a part is missing.
         """
-        from authguard_r.authoring.drafting.chat import AnthropicChat, OpenAIChat, Reach
+        from authguard_r.authoring.drafting.chat import AnthropicChat, ModelAddress, OpenAIChat
         from authguard_r.authoring.drafting.models import parse_free_text
 
         text = read_free_text(data)
-        reach = Reach(
+        reach = ModelAddress(
             base_url=self.base_url,
             model=self.model,
             api_key_env=self.api_key_env,
@@ -154,7 +154,7 @@ def model_prompt_schema(binding: Binding, site: Site) -> dict[str, Any]:
 
 def _meaning(argument: Argument, kind: ActionModel) -> dict[str, Any] | None:
     """Return what an argument means, for a model; None when it is to be left out."""
-    if argument.use is not Use.MAPPED:
+    if argument.use is not ArgumentUse.MAPPED:
         return None
     optional: dict[str, Any] = {"optional": True} if argument.optional else {}
     if argument.each:

@@ -198,7 +198,7 @@ def ballot_command(
     _require_extra()
     from authguard_r.cli import frost_signing
 
-    place = frost_signing.Place(gate=gate, trust=trust, site=site, store=store, robot=robot)
+    place = frost_signing.RequestPlace(gate=gate, trust=trust, site=site, store=store, robot=robot)
     return frost_signing.ballot(counter, place, out, deny=deny, as_json=as_json)
 
 
@@ -286,7 +286,7 @@ def submit_command(
     _require_extra()
     from authguard_r.cli import frost_signing
 
-    place = frost_signing.Place(gate=gate, trust=trust, site=site, store=store, robot=robot)
+    place = frost_signing.RequestPlace(gate=gate, trust=trust, site=site, store=store, robot=robot)
     return frost_signing.submit(token, place, why=why, as_json=as_json)
 
 

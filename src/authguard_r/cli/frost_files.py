@@ -10,7 +10,7 @@ import msgspec
 from msgspec import Struct
 
 from authguard_r.cli.signing_key import passphrase_of
-from authguard_r.core.approval import Verdict
+from authguard_r.core.approval import ApprovalVerdict
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.core.identifiers import PrincipalId, is_identifier
 from authguard_r.core.quantities import to_timestamp
@@ -129,7 +129,7 @@ def group_lines(group: Group) -> list[str]:
 def ballot_lines(ballot: Ballot) -> list[str]:
     """Return what would be signed, from the very values that are hashed."""
     approval, scope = ballot.approval, ballot.scope
-    answer = "APPROVE" if approval.verdict is Verdict.APPROVE else "DENY"
+    answer = "APPROVE" if approval.verdict is ApprovalVerdict.APPROVE else "DENY"
     places = (("object", scope.object), ("from", scope.source), ("to", scope.destination))
     return [
         f"{answer} this one action of robot {approval.rid}:",

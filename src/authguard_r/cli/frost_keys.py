@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from authguard_r.authoring.keys.authority import issue_group, require_group
-from authguard_r.authoring.keys.request import Wanted
+from authguard_r.authoring.keys.request import WantedCertificate
 from authguard_r.cli.ask import confirm_shown
 from authguard_r.cli.frost_files import (
     group_lines,
@@ -29,7 +29,15 @@ from authguard_r.core.reasons import Reason
 from authguard_r.frost import dkg
 from authguard_r.frost.keys import deal as deal_key
 from authguard_r.frost.keys import public_key, require_share
-from authguard_r.frost.messages import Contribution, Group, Offer, Plan, Secret, digest, written
+from authguard_r.frost.messages import (
+    Contribution,
+    Group,
+    KeyGenerationPlan,
+    Offer,
+    Secret,
+    digest,
+    written,
+)
 from authguard_r.frost.nonces import write_new
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.ed25519 import public_key as ed25519_key
@@ -74,7 +82,7 @@ def plan(group: str, threshold: int, members: tuple[str, ...], out: Path, *, as_
 
 def offer(plan_file: Path, member: str, secret: Path, out: Path, *, as_json: bool) -> int:
     """Write a member's secret and offer."""
-    agreed = load(plan_file, Plan)
+    agreed = load(plan_file, KeyGenerationPlan)
     if member not in agreed.members:
         raise MalformedError(f"the plan has no member `{member}`", where="--as")
     require_absent(secret, out)
@@ -146,7 +154,7 @@ def certify(
     if role not in ROLES:
         raise MalformedError(f"expected a role of {', '.join(ROLES)}, got `{role}`", where="--role")
     _require_one_root(trust)
-    wanted = Wanted(
+    wanted = WantedCertificate(
         principal=group.id,
         role=Role(role),
         robots=tuple(sorted(map(RobotId, set(robots or ())))),

@@ -26,13 +26,13 @@ from authguard_r.cli.frost_files import (
     require_absent,
     store,
 )
-from authguard_r.cli.gateway import Reading, connected
+from authguard_r.cli.gateway import ReadingRole, connected
 from authguard_r.cli.inputs import wall_now
-from authguard_r.cli.offline import Kept, offline
+from authguard_r.cli.offline import OfflineStore, offline
 from authguard_r.cli.out import emit, printed
 from authguard_r.cli.sign import trust_folder_of
 from authguard_r.client.approvals import shown, the_one
-from authguard_r.core.approval import Approval, Verdict
+from authguard_r.core.approval import Approval, ApprovalVerdict
 from authguard_r.core.encoding import Tag, decode
 from authguard_r.core.errors import AuthenticityError, RefusedError
 from authguard_r.core.principals import Endorsed
@@ -42,13 +42,13 @@ from authguard_r.frost import signing
 from authguard_r.frost.keys import public_key, require_share
 from authguard_r.frost.messages import (
     Ballot,
-    Commitment,
     Contribution,
     File,
     Group,
+    KeyGenerationPlan,
+    NonceCommitment,
     Nonces,
     Offer,
-    Plan,
     Secret,
     Share,
     SignatureShare,
@@ -75,7 +75,7 @@ class GroupSigner(Struct, frozen=True):
         return ((self.chain, self.signature),)
 
 
-class Place(Struct, frozen=True, kw_only=True):
+class RequestPlace(Struct, frozen=True, kw_only=True):
     """Where requests are: at a gate that runs, or in a store that nobody has open.
 
     Args:
@@ -102,12 +102,12 @@ class Place(Struct, frozen=True, kw_only=True):
         """
         if self.store is None or self.trust is None or self.site is None:
             raise typer.BadParameter("a store needs --trust and --site", param_hint="--store")
-        kept = Kept(store=self.store, trust=self.trust, site=self.site, robot=self.robot)
+        kept = OfflineStore(store=self.store, trust=self.trust, site=self.site, robot=self.robot)
         with offline(kept) as gate:
             yield gate
 
 
-def ballot(counter: int, place: Place, out: Path, *, deny: bool, as_json: bool) -> int:
+def ballot(counter: int, place: RequestPlace, out: Path, *, deny: bool, as_json: bool) -> int:
     """Write the answer to an open request, with what it is bound to."""
     asked = _question(counter, place)
     seen = shown(asked)
@@ -121,7 +121,7 @@ def ballot(counter: int, place: Place, out: Path, *, deny: bool, as_json: bool) 
         situation=asked.situation,
         counter=asked.counter,
         expires_ms=asked.expires_ms,
-        verdict=Verdict.DENY if deny else Verdict.APPROVE,
+        verdict=ApprovalVerdict.DENY if deny else ApprovalVerdict.APPROVE,
     )
     made = Ballot(approval=approval, scope=seen.scope, situation=seen.situation)
     store(out, made)
@@ -131,11 +131,11 @@ def ballot(counter: int, place: Place, out: Path, *, deny: bool, as_json: bool) 
     return 0
 
 
-def submit(token: Path, place: Place, *, why: str, as_json: bool) -> int:
+def submit(token: Path, place: RequestPlace, *, why: str, as_json: bool) -> int:
     """Hand an approval token in, and say whether it counts."""
     data = read_file(token)
     if place.store is None:
-        with connected(place.gate, Reading.OPERATOR, place.trust) as client:
+        with connected(place.gate, ReadingRole.OPERATOR, place.trust) as client:
             told = client.approve(data, why=why)
     else:
         with place.opened() as gate:
@@ -151,9 +151,9 @@ def submit(token: Path, place: Place, *, why: str, as_json: bool) -> int:
     return 1 if worth else 0
 
 
-def _question(counter: int, place: Place) -> Question:
+def _question(counter: int, place: RequestPlace) -> Question:
     if place.store is None:
-        with connected(place.gate, Reading.OPERATOR, place.trust) as client:
+        with connected(place.gate, ReadingRole.OPERATOR, place.trust) as client:
             return client.approval(counter)
     with place.opened() as gate:
         return the_one(OpenQuestions(gate, _nobody).told(counter), counter)
@@ -194,7 +194,7 @@ def give(
         raise RefusedError(
             "the request ran out", reason=Reason.APPROVAL_TIMEOUT, where=ballot_file.name
         )
-    session = signing.begin(share.group, load_all(commitments, Commitment), message_of(asked))
+    session = signing.begin(share.group, load_all(commitments, NonceCommitment), message_of(asked))
     mine = next((c for c in session.commitments if c.identifier == share.identifier), None)
     if mine is None:
         raise RefusedError(
@@ -229,7 +229,7 @@ def aggregate(
     group, asked = load(group_file, Group), load(ballot_file, Ballot)
     require_absent(out)
     chain = _chain(group, cert, trust_folder_of(trust, cert))
-    session = signing.begin(group, load_all(commitments, Commitment), message_of(asked))
+    session = signing.begin(group, load_all(commitments, NonceCommitment), message_of(asked))
     signature = signing.aggregate(session, load_all(parts, SignatureShare))
     token = sign_object(asked.approval, Tag.APPROVAL, GroupSigner(chain, signature))
     out.write_bytes(token)
@@ -261,7 +261,13 @@ def inspect(file: Path, *, passphrase_file: Path | None, as_json: bool) -> int:
 
 
 def _public_lines(
-    value: Group | Plan | Offer | Contribution | Ballot | Commitment | SignatureShare,
+    value: Group
+    | KeyGenerationPlan
+    | Offer
+    | Contribution
+    | Ballot
+    | NonceCommitment
+    | SignatureShare,
 ) -> list[str]:
     """Return a public file for people."""
     if isinstance(value, Group):

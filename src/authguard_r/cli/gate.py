@@ -32,14 +32,14 @@ from authguard_r.core.identifiers import RobotId
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.enforcement.emergency.opened import open_emergency
-from authguard_r.estop.startup import LaneFiles
+from authguard_r.estop.startup import EStopFiles
 from authguard_r.keys.clock_floor import boot_ms, token_ms
 from authguard_r.keys.signer import FileSigner, read_signer
 from authguard_r.keys.trust import Trust, read_file, read_trust
 from authguard_r.normalize.shipped import shipped_interface
-from authguard_r.operations.checkup import Setup, require_safe
+from authguard_r.operations.checkup import GateSetup, require_safe
 from authguard_r.safety import SafetyConfig, default_config, open_config
-from authguard_r.server.parts import EmergencyParts, Parts
+from authguard_r.server.parts import EmergencyParts, GateParts
 from authguard_r.server.process import Rendezvous, run_gate
 from authguard_r.sim.robot import SymbolicRobot
 from authguard_r.sim.world import initial_state
@@ -96,7 +96,7 @@ def gate_command(
     rid = _possible(model, gate_robot(trust, robot), simulate=simulate, demo=demo and anchor.demo)
     key, cert, signer = _identity(trust, rid, key, cert)
     signed = open_gate_config(read_file(config), verifier=anchor, now=now, robot=rid)
-    setup = Setup(
+    setup = GateSetup(
         demo=demo and anchor.demo,
         uid=os.geteuid(),
         trust=trust,
@@ -115,8 +115,8 @@ def gate_command(
         files=(site, binding, config, *filter(None, (safety, risk_policy, emergency))),
     )
     require_safe(setup, now)
-    files = LaneFiles(run=run, robot=rid, trust=trust, key=key, cert=cert, config=config)
-    parts = Parts(
+    files = EStopFiles(run=run, robot=rid, trust=trust, key=key, cert=cert, config=config)
+    parts = GateParts(
         emergency=_emergency((emergency, emergency_journal), anchor, model, rid=rid, now=now),
         run=run,
         trust=anchor,

@@ -84,7 +84,7 @@ RobotOption = Annotated[str, typer.Option("--robot", help="The robot that the ga
 TrustChoice = Annotated[Path | None, typer.Option("--trust", help="The trust folder.")]
 
 
-class Form(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class GateConfigForm(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A configuration as people write it; a bound that is left out has its default, which is shown.
 
     Args:
@@ -170,7 +170,7 @@ def make(
     if demo == bool(peer or mediator):
         raise typer.BadParameter("name each user, or say --demo", param_hint="--peer")
     peers = everybody() if demo else peers_of(peer or [])
-    form = Form(
+    form = GateConfigForm(
         robot=_robot(robot),
         peers={**peers, **mediators_of(mediator or [], peers)},
         mediators=tuple(mediator or []),
@@ -201,7 +201,7 @@ def sign(
 ) -> int:
     """Show who may be what, ask, and sign. Run it where the gate runs: names are looked up here."""
     where = str(file)
-    form = convert(read_yaml(read_text(file), where=where), Form, where=where)
+    form = convert(read_yaml(read_text(file), where=where), GateConfigForm, where=where)
     config, signer = read_form(form, where=where), open_signer(key, cert, passphrase_file)
     if form.version is None:
         config = replace(config, version=wall_now(None).utc_ms // 1_000)
@@ -255,7 +255,7 @@ def open_config(token: Path, trust: Path, *, now: str | None = None) -> GateConf
     )
 
 
-def read_form(form: Form, *, where: str) -> GateConfig:
+def read_form(form: GateConfigForm, *, where: str) -> GateConfig:
     """Return what people wrote as it is signed: users by number, sorted, quantities in units.
 
     Raises:
@@ -300,7 +300,7 @@ def read_form(form: Form, *, where: str) -> GateConfig:
     return config
 
 
-def written(config: GateConfig, form: Form) -> str:
+def written(config: GateConfig, form: GateConfigForm) -> str:
     """Return a configuration as people edit it."""
     peers = "".join(f"  {who}: [{', '.join(roles)}]\n" for who, roles in form.peers.items())
     units = {"ms": "ms", "byte": "B"}

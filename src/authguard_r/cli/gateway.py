@@ -40,7 +40,7 @@ GateOption = Annotated[
 ]
 
 
-class Reading(StrEnum):
+class ReadingRole(StrEnum):
     """What may read at a gate; in any other role a command would take somebody's place."""
 
     OPERATOR = "operator"
@@ -48,7 +48,7 @@ class Reading(StrEnum):
 
 
 RoleOption = Annotated[
-    Reading, typer.Option("--role", help="What to be at the gate; it decides who may be what.")
+    ReadingRole, typer.Option("--role", help="What to be at the gate; it decides who may be what.")
 ]
 ProofOption = Annotated[
     Path | None,
@@ -61,7 +61,7 @@ GATE_SOCKET, STOP_SOCKET = "gate.sock", "stop.sock"
 RUNS = Path("/run/authguard-r")
 
 
-class Beside(Struct, frozen=True, kw_only=True):
+class GateAddress(Struct, frozen=True, kw_only=True):
     """What a running gate writes beside its store, in `STORE.gate`.
 
     Args:
@@ -203,7 +203,7 @@ def connect_as(path: Path, roles: Iterable[ClientRole]) -> GateClient:
 
 @contextmanager
 def connected(
-    run: Path | None, role: Reading, trust: Path | None, *, name: str = GATE_SOCKET
+    run: Path | None, role: ReadingRole, trust: Path | None, *, name: str = GATE_SOCKET
 ) -> Iterator[GateClient]:
     """Connect to a gate for a while.
 
@@ -253,7 +253,7 @@ def _connect(path: Path, trust: Path, rid: RobotId) -> GateClient | None:
 
 
 @contextmanager
-def told_of(beside: Beside | None, store: Path, *, tried: bool = False) -> Iterator[None]:
+def told_of(beside: GateAddress | None, store: Path, *, tried: bool = False) -> Iterator[None]:
     """Say where the gate is when its store is held.
 
     Args:
@@ -273,13 +273,13 @@ def told_of(beside: Beside | None, store: Path, *, tried: bool = False) -> Itera
         ) from error
 
 
-def beside_store(store: Path) -> Beside | None:
+def beside_store(store: Path) -> GateAddress | None:
     """Return what a gate wrote beside its store."""
     path = store.with_name(f"{store.name}.gate")
     if not path.is_file():
         return None
     try:
-        return msgspec.json.decode(read_file(path), type=Beside)
+        return msgspec.json.decode(read_file(path), type=GateAddress)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise MalformedError(str(error), where=str(path)) from error
 

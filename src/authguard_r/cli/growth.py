@@ -12,7 +12,7 @@ from typing import Any
 from msgspec import Struct
 
 from authguard_r.audit.record import NONE, read_record
-from authguard_r.audit.verify import Row
+from authguard_r.audit.verify import LogRow
 from authguard_r.cli.audit import StoreArgument
 from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.log_reading import reading
@@ -21,7 +21,7 @@ from authguard_r.cli.out import emit
 _HEAD = ("mission", "records", "decisions", "bytes", "bytes/decision", "share")
 
 
-class _Written(Struct):
+class _GrowthRow(Struct):
     """What one mission wrote so far."""
 
     records: int = 0
@@ -48,19 +48,19 @@ def growth_command(store: StoreArgument, as_json: JsonFlag = False) -> int:
     return 0
 
 
-def _count(rows: Iterable[Row]) -> dict[str, _Written]:
-    found: dict[str, _Written] = {}
+def _count(rows: Iterable[LogRow]) -> dict[str, _GrowthRow]:
+    found: dict[str, _GrowthRow] = {}
     for row in rows:
         record = read_record(row.record, where=f"record {row.seq}")
-        one = found.setdefault(record.link.mid, _Written())
+        one = found.setdefault(record.link.mid, _GrowthRow())
         one.records += 1
         one.decisions += record.kind == "decision"
         one.bytes += len(row.record) + len(row.sealed) + len(row.link)
     return found
 
 
-def _sum(found: Iterable[_Written]) -> _Written:
-    total = _Written()
+def _sum(found: Iterable[_GrowthRow]) -> _GrowthRow:
+    total = _GrowthRow()
     for one in found:
         total.records += one.records
         total.decisions += one.decisions
@@ -68,7 +68,7 @@ def _sum(found: Iterable[_Written]) -> _Written:
     return total
 
 
-def _figures(one: _Written, total: _Written) -> dict[str, Any]:
+def _figures(one: _GrowthRow, total: _GrowthRow) -> dict[str, Any]:
     """Return what is told of one."""
     return {
         "records": one.records,

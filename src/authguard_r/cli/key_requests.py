@@ -17,7 +17,7 @@ from authguard_r.authoring.keys.request import (
     CONFINED,
     OF_ONE_ROBOT,
     OpenedRequest,
-    Wanted,
+    WantedCertificate,
     key_fingerprint,
     make_request,
     open_request,
@@ -105,7 +105,7 @@ def request_command(
         if not is_identifier(name):
             raise typer.BadParameter(f"expected an identifier, got `{name}`")
     _require_scope(role, robot or [], region or [], every=(every_robot, every_region))
-    wanted = Wanted(
+    wanted = WantedCertificate(
         principal=PrincipalId(principal),
         role=role,
         robots=tuple(sorted(map(RobotId, set(robot or ())))),
@@ -209,7 +209,7 @@ def _next_name(out: Path, principal: str) -> str:
 def _ask(
     out: Path,
     name: str,
-    wanted: Wanted,
+    wanted: WantedCertificate,
     kinds: tuple[Algorithm, ...],
     *,
     before: FileSigner | None,
@@ -247,10 +247,10 @@ def _send(request: Path, path: Path, data: bytes, *, as_json: bool) -> int:
     return 0
 
 
-def wanted_of(leaf: Leaf) -> Wanted:
+def wanted_of(leaf: Leaf) -> WantedCertificate:
     """Return what a request for such a certificate says."""
     robots, regions = leaf.scope.robots, leaf.scope.regions
-    return Wanted(
+    return WantedCertificate(
         principal=leaf.principal,
         role=leaf.role,
         robots=tuple(sorted(robots or ())),

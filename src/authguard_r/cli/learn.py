@@ -11,10 +11,10 @@ from typing import Annotated, Any
 import msgspec
 import typer
 
-from authguard_r.audit.verify import Row
+from authguard_r.audit.verify import LogRow
 from authguard_r.auditor.export_format import exported_rows
-from authguard_r.authoring.onboarding.evidence import Evidence, Unused, gather
-from authguard_r.authoring.onboarding.pages import Proposals, propose, ranked, row_line
+from authguard_r.authoring.onboarding.evidence import ShadowEvidence, Unused, gather
+from authguard_r.authoring.onboarding.pages import LearnedProposals, propose, ranked, row_line
 from authguard_r.cli.inputs import JsonFlag, SiteOption, load_site, read_binding
 from authguard_r.cli.log_reading import strange
 from authguard_r.cli.logs import open_log
@@ -66,7 +66,7 @@ def learn_command(
 
 
 @contextmanager
-def _rows(path: Path) -> Iterator[Iterable[Row]]:
+def _rows(path: Path) -> Iterator[Iterable[LogRow]]:
     """Yield the rows of an exported log, or of a store, told by the gate that holds it."""
     if path.is_file():
         with path.open("rb") as file:
@@ -97,13 +97,13 @@ def _write(folder: Path, files: dict[str, str]) -> None:
             file.write(text)
 
 
-def _used(evidence: Evidence, proposals: Proposals) -> int:
+def _used(evidence: ShadowEvidence, proposals: LearnedProposals) -> int:
     lost = {item.seq for item in proposals.unused}
     seqs = {item.seq for item in evidence.proposed} | {plan.seq for plan in evidence.plans}
     return len(seqs - lost)
 
 
-def _payload(evidence: Evidence, proposals: Proposals, out: Path) -> dict[str, Any]:
+def _payload(evidence: ShadowEvidence, proposals: LearnedProposals, out: Path) -> dict[str, Any]:
     return {
         "log": msgspec.to_builtins(evidence.log),
         "robot": evidence.robot,
@@ -132,7 +132,7 @@ def _payload(evidence: Evidence, proposals: Proposals, out: Path) -> dict[str, A
     }
 
 
-def _lines(evidence: Evidence, proposals: Proposals, out: Path) -> Iterator[str]:
+def _lines(evidence: ShadowEvidence, proposals: LearnedProposals, out: Path) -> Iterator[str]:
     yield f"log: whole, {evidence.log.size} records, {evidence.log.anchored}"
     read = f"{len(evidence.proposed)} actions, {proposals.plans} plans of {proposals.calls} calls"
     yield f"used {_used(evidence, proposals)} records: {read}"

@@ -29,7 +29,7 @@ from authguard_r.keys.trust import read_file, read_trust
 _NO_KEY = "no key was named"
 
 
-class Asked(Struct, frozen=True, kw_only=True):
+class AnchorOptions(Struct, frozen=True, kw_only=True):
     """What the user named.
 
     Args:
@@ -47,7 +47,7 @@ class Asked(Struct, frozen=True, kw_only=True):
     trust: Path | None = None
 
 
-class Known(Struct, frozen=True, kw_only=True):
+class KnownLog(Struct, frozen=True, kw_only=True):
     """What is known of the log from outside of it.
 
     Args:
@@ -61,14 +61,14 @@ class Known(Struct, frozen=True, kw_only=True):
     ignored: tuple[str, ...] = ()
 
 
-class _Seen(Struct, frozen=True):
+class _SeenCheckpoint(Struct, frozen=True):
     """One authentic checkpoint, and the witnesses that cosigned it."""
 
     checkpoint: Checkpoint
     cosigned: tuple[Attested, ...]
 
 
-def known_of(asked: Asked, embedded: tuple[bytes, ...]) -> Known:
+def known_of(asked: AnchorOptions, embedded: tuple[bytes, ...]) -> KnownLog:
     """Return what authentic checkpoints say: those that were kept, and those in the log's file.
 
     Args:
@@ -96,14 +96,16 @@ def known_of(asked: Asked, embedded: tuple[bytes, ...]) -> Known:
     said = [of_checkpoint(item.checkpoint, witnessed=item in enough) for item in seen]
     claims = () if asked.keys or asked.trust else tuple(_claims(embedded))
     at = len(inside)  # what was kept elsewhere comes last: it is told of
-    return Known(
+    return KnownLog(
         anchors=(*claims, *said[:at], *map(of_terminal, terminals), *said[at:]),
         cosigned=() if longest is None else longest.cosigned,
         ignored=ignored,
     )
 
 
-def _embedded(asked: Asked, notes: tuple[bytes, ...]) -> tuple[list[_Seen], tuple[str, ...]]:
+def _embedded(
+    asked: AnchorOptions, notes: tuple[bytes, ...]
+) -> tuple[list[_SeenCheckpoint], tuple[str, ...]]:
     """Return the authentic checkpoints that lie with the log, and why the others say nothing."""
     if not asked.keys and asked.trust is None:
         return [], tuple(_NO_KEY for _ in notes)
@@ -133,7 +135,7 @@ def _claims(notes: tuple[bytes, ...]) -> Iterator[Anchor]:
             yield Anchor(by="claimed", size=said.size, head=said.chain, root=said.root)
 
 
-def _require_wanted(asked: Asked, seen: list[_Seen], *, terminals: bool) -> None:
+def _require_wanted(asked: AnchorOptions, seen: list[_SeenCheckpoint], *, terminals: bool) -> None:
     """Require what naming a key or witnesses asks for: their absence is what a forger leaves.
 
     Raises:
@@ -146,12 +148,12 @@ def _require_wanted(asked: Asked, seen: list[_Seen], *, terminals: bool) -> None
         raise _missing("expected a checkpoint that the named key signed")
 
 
-def _count(seen: _Seen) -> int:
+def _count(seen: _SeenCheckpoint) -> int:
     """Return how many witnesses cosigned; one key under two names is one witness."""
     return len({attested.key.public for attested in seen.cosigned})
 
 
-def _read(data: bytes, asked: Asked, *, where: str) -> _Seen:
+def _read(data: bytes, asked: AnchorOptions, *, where: str) -> _SeenCheckpoint:
     note = read_note(data, where=where)
     claimed = read_checkpoint(note.text, where=where)
     keys = tuple(key for key in asked.keys if key.name == claimed.origin)
@@ -160,7 +162,7 @@ def _read(data: bytes, asked: Asked, *, where: str) -> _Seen:
     if not keys:
         raise _missing(f"expected a checkpoint of a named key, got one of `{claimed.origin}`")
     checkpoint = require_all(note, keys, where=where)
-    return _Seen(checkpoint, _cosigned(note, asked.witnesses, where))
+    return _SeenCheckpoint(checkpoint, _cosigned(note, asked.witnesses, where))
 
 
 def _cosigned(note: Note, witnesses: tuple[NoteKey, ...], where: str) -> tuple[Attested, ...]:

@@ -17,7 +17,7 @@ import typer
 
 from authguard_r.audit.closed import Closed, closed_of
 from authguard_r.audit.record import Record, read_record, read_sealed
-from authguard_r.audit.verify import Row
+from authguard_r.audit.verify import LogRow
 from authguard_r.auditor.claims import claimed_mission
 from authguard_r.cli.audit import StoreArgument
 from authguard_r.cli.inputs import JsonFlag
@@ -61,7 +61,7 @@ def explain_command(
 
 
 def explained(
-    rows: Iterable[Row],
+    rows: Iterable[LogRow],
     seq: int | None,
     *,
     how: str | None = None,
@@ -81,7 +81,7 @@ def explained(
     """
     missions: dict[str, Mission] = {}
     begun: dict[bytes, int] = {}
-    found: tuple[Row, Mission | None] | None = None
+    found: tuple[LogRow, Mission | None] | None = None
     for row in rows:
         if b'"activate"' in row.record:
             _note(missions, row)
@@ -127,11 +127,11 @@ def write_change(path: Path, told: dict[str, Any]) -> str:
     return f"{path}: read it, then: authguard mission compile {path} --site SITE --supersedes TOKEN"
 
 
-def _read(row: Row) -> Record:
+def _read(row: LogRow) -> Record:
     return read_record(row.record, where=f"record {row.seq}")
 
 
-def _note(missions: dict[str, Mission], row: Row) -> None:
+def _note(missions: dict[str, Mission], row: LogRow) -> None:
     """Note the mission that a record made active; a damaged one is explained without a change."""
     with suppress(AuthGuardError):
         record = _read(row)
@@ -143,16 +143,16 @@ def _note(missions: dict[str, Mission], row: Row) -> None:
         missions[digest_of(Tag.MISSION, mission)] = mission
 
 
-def _ticket(row: Row) -> bytes:
+def _ticket(row: LogRow) -> bytes:
     """Return the release that a record names, as it is spelled there."""
     return row.record.partition(b'"ticket":"')[2].partition(b'"')[0]
 
 
-def _is_refused(row: Row) -> bool:
+def _is_refused(row: LogRow) -> bool:
     return is_refused_proposal(_read(row))
 
 
-def _mission_of(missions: dict[str, Mission], row: Row) -> Mission | None:
+def _mission_of(missions: dict[str, Mission], row: LogRow) -> Mission | None:
     with suppress(AuthGuardError):
         return missions.get(str(_read(row).open.get("mission")))
     return None

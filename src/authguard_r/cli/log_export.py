@@ -19,15 +19,15 @@ import typer
 
 from authguard_r.audit.record import BOX, read_record, read_sealed
 from authguard_r.audit.sealed_envelopes import act_of
-from authguard_r.audit.verify import Row
+from authguard_r.audit.verify import LogRow
 from authguard_r.auditor.export_format import note_line, row_line
 from authguard_r.cli.audit import StoreArgument
 from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.log_reading import reading
-from authguard_r.cli.logs import Log
+from authguard_r.cli.logs import ReadableLog
 from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile
-from authguard_r.cli.unsealing import Opening, ReaderOption, opening_of
+from authguard_r.cli.unsealing import LogOpening, ReaderOption, opening_of
 from authguard_r.core.encoding import b64, encode_fast
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.quantities import to_timestamp
@@ -82,7 +82,7 @@ def export_command(
     return 0
 
 
-def _write(log: Log, form: Format, out: Path | None, opening: Opening) -> int:
+def _write(log: ReadableLog, form: Format, out: Path | None, opening: LogOpening) -> int:
     lines = _json_lines(log) if form is Format.JSONL else _csv_lines(log.rows, opening)
     if out is None:
         return _put(lines, sys.stdout.buffer)
@@ -107,14 +107,14 @@ def _put(lines: Iterator[bytes], file: io.BufferedIOBase | Any) -> int:
     return count
 
 
-def _json_lines(log: Log) -> Iterator[bytes]:
+def _json_lines(log: ReadableLog) -> Iterator[bytes]:
     for row in log.rows:
         yield row_line(row)
     if log.notes:
         yield note_line(log.notes[0])
 
 
-def _csv_lines(rows: Iterator[Row], opening: Opening) -> Iterator[bytes]:
+def _csv_lines(rows: Iterator[LogRow], opening: LogOpening) -> Iterator[bytes]:
     yield _line(COLUMNS)
     for row in rows:
         cells = _cells(row, opening)
@@ -136,7 +136,7 @@ def cell(value: Any) -> str:
     return f"'{shown}" if text.startswith(_FORMULA) and text != "-" else shown
 
 
-def _cells(row: Row, opening: Opening) -> dict[str, Any]:
+def _cells(row: LogRow, opening: LogOpening) -> dict[str, Any]:
     where = f"record {row.seq}"
     record = read_record(row.record, where=where)
     values = {name: item.value for name, item in read_sealed(row.sealed, where=where).items()}

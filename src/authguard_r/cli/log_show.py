@@ -14,13 +14,13 @@ from msgspec import Struct
 from authguard_r.audit.closed import Closed
 from authguard_r.audit.record import NONE, Record, read_record, read_sealed
 from authguard_r.audit.sealed_envelopes import SEALING, act_of
-from authguard_r.audit.verify import Row
+from authguard_r.audit.verify import LogRow
 from authguard_r.cli.audit import StoreArgument
 from authguard_r.cli.inputs import JsonFlag, wall_now
 from authguard_r.cli.listing import Listing, listing
 from authguard_r.cli.log_reading import reading
 from authguard_r.cli.signing_key import PassphraseFile
-from authguard_r.cli.unsealing import Opening, ReaderOption, opening_of
+from authguard_r.cli.unsealing import LogOpening, ReaderOption, opening_of
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
@@ -37,7 +37,7 @@ _REASONS = frozenset(map(str, (*Reason, *Hazard)))
 _NOTHING = Closed()
 
 
-class Wanted(Struct, frozen=True, kw_only=True):
+class RecordFilter(Struct, frozen=True, kw_only=True):
     """Which records are shown; None: whichever.
 
     Args:
@@ -80,7 +80,7 @@ class Wanted(Struct, frozen=True, kw_only=True):
         )
 
 
-class _Line(Struct, kw_only=True):
+class _PendingLine(Struct, kw_only=True):
     """A line that waits: it is printed once nothing before it waits for an end."""
 
     item: dict[str, Any]
@@ -99,12 +99,12 @@ class Timeline:
 
     def __init__(self, show: Callable[[dict[str, Any], str], None]) -> None:
         self._show = show
-        self._waiting: deque[_Line] = deque()
+        self._waiting: deque[_PendingLine] = deque()
         self._begun: dict[str, tuple[int, str]] = {}
 
     def see(
         self,
-        row: Row,
+        row: LogRow,
         record: Record,
         values: dict[str, Any],
         *,
@@ -134,7 +134,9 @@ class Timeline:
             told |= {"closed": closed.plain()} if closed else {}
             text = _line(row.seq, record, values, began)
             waits = ticket if record.kind != "outcome" else None
-            self._waiting.append(_Line(item=told, text=text, closed=closed.words(), ticket=waits))
+            self._waiting.append(
+                _PendingLine(item=told, text=text, closed=closed.words(), ticket=waits)
+            )
         self._flush(_WAITING)
 
     def close(self) -> None:
@@ -188,7 +190,7 @@ def show_command(
     """Print the log as a timeline: who, what, from where to where, what was said, how it ended."""
     if reason is not None and reason not in _REASONS:
         raise typer.BadParameter(f"`{reason}` is no reason code", param_hint="--reason")
-    wanted = Wanted(
+    wanted = RecordFilter(
         kind=kind,
         refused=refused,
         would=would,
@@ -207,7 +209,7 @@ def show_command(
     return 0
 
 
-def _shown(rows: Iterator[Row], wanted: Wanted, out: Listing, opening: Opening) -> int:
+def _shown(rows: Iterator[LogRow], wanted: RecordFilter, out: Listing, opening: LogOpening) -> int:
     """Print each record that is wanted; return how many."""
     count = 0
 

@@ -15,15 +15,15 @@ from authguard_r.audit.missing import told
 from authguard_r.audit.note import read_key
 from authguard_r.audit.parallel import MOST_JOBS, usable_jobs, verify_in_pieces
 from authguard_r.audit.record import Record, read_record, read_sealed
-from authguard_r.audit.verify import Anchor, By, Row, Verification
+from authguard_r.audit.verify import Anchor, By, LogRow, Verification
 from authguard_r.cli.audit import StoreArgument
 from authguard_r.cli.inputs import JsonFlag
-from authguard_r.cli.log_anchors import Asked, Known, known_of
+from authguard_r.cli.log_anchors import AnchorOptions, KnownLog, known_of
 from authguard_r.cli.log_reading import reading
-from authguard_r.cli.logs import Log
+from authguard_r.cli.logs import ReadableLog
 from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile
-from authguard_r.cli.unsealing import Held, ReaderOption, opening_of
+from authguard_r.cli.unsealing import EnvelopeCheck, ReaderOption, opening_of
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.quantities import to_timestamp
@@ -93,14 +93,14 @@ def verify_command(
     """
     if quorum is not None and quorum > len(witness or ()):
         raise typer.BadParameter("expected at least as many witnesses", param_hint="--quorum")
-    asked = Asked(
+    asked = AnchorOptions(
         kept=tuple(checkpoint or ()),
         keys=tuple(read_key(text, where="--key") for text in key or ()),
         witnesses=tuple(read_key(text, where="--witness") for text in witness or ()),
         quorum=quorum or len(witness or ()),
         trust=trust,
     )
-    held = Held(opening_of(reader, passphrase_file))
+    held = EnvelopeCheck(opening_of(reader, passphrase_file))
     with reading(store) as log:
         known = known_of(asked, log.notes)
         # beside a gate that drives a robot, nobody takes its processors
@@ -121,7 +121,7 @@ class _Whose:
     def __init__(self) -> None:
         self.told: dict[str, Any] = {}
 
-    def rows(self, rows: Iterable[Row]) -> Iterator[Row]:
+    def rows(self, rows: Iterable[LogRow]) -> Iterator[LogRow]:
         """Yield the rows, and note what the first one says."""
         for row in rows:
             if row.seq == 0:
@@ -135,7 +135,7 @@ class _Whose:
             names = ("robot", "gate", "site", "root")
             yield "log of " + ", ".join(f"{name} {self.told[name]}" for name in names)
 
-    def _note(self, record: Record, row: Row) -> None:
+    def _note(self, record: Record, row: LogRow) -> None:
         opened, sealed = record.open, read_sealed(row.sealed, where="record 0")
         site = sealed["site"].value if "site" in sealed else None
         named = site.get("id") if isinstance(site, dict) else None
@@ -148,7 +148,7 @@ class _Whose:
         }
 
 
-def _payload(found: Verification, known: Known, log: Log) -> dict[str, Any]:
+def _payload(found: Verification, known: KnownLog, log: ReadableLog) -> dict[str, Any]:
     told_by = None if log.gate is None else log.gate.pid
     return {
         **msgspec.to_builtins(found),
@@ -159,11 +159,11 @@ def _payload(found: Verification, known: Known, log: Log) -> dict[str, Any]:
     }
 
 
-def _by_size(known: Known) -> list[Anchor]:
+def _by_size(known: KnownLog) -> list[Anchor]:
     return sorted(known.anchors, key=lambda anchor: anchor.size)
 
 
-def _lines(found: Verification, known: Known, log: Log, *, own: bool) -> Iterator[str]:
+def _lines(found: Verification, known: KnownLog, log: ReadableLog, *, own: bool) -> Iterator[str]:
     if not found.whole:
         yield f"NOT WHOLE at {found.where}: {found.fault}"
         for anchor in _by_size(known):

@@ -11,9 +11,9 @@ from typing import Any
 from msgspec import Struct
 
 from authguard_r.anchoring.checkpoints import CHECKPOINT, NEWEST, WITNESSED
-from authguard_r.audit.verify import Row
+from authguard_r.audit.verify import LogRow
 from authguard_r.auditor.export_format import exported_note, exported_rows, is_export
-from authguard_r.cli.gateway import Beside, beside_store, connect_as, told_of
+from authguard_r.cli.gateway import GateAddress, beside_store, connect_as, told_of
 from authguard_r.client import GateClient
 from authguard_r.core.encoding import encode, unb64
 from authguard_r.core.errors import EnvironmentFault, MalformedError
@@ -24,7 +24,7 @@ from authguard_r.wire.messages import ClientRole
 _PAGE = 1_000
 
 
-class Log(Struct, frozen=True):
+class ReadableLog(Struct, frozen=True):
     """A log that can be read once.
 
     Args:
@@ -34,14 +34,14 @@ class Log(Struct, frozen=True):
         notes: checkpoints that lie with the rows, the newest first; nobody has looked at them.
     """
 
-    rows: Iterator[Row]
-    gate: Beside | None = None
+    rows: Iterator[LogRow]
+    gate: GateAddress | None = None
     status: dict[str, Any] = {}
     notes: tuple[bytes, ...] = ()
 
 
 @contextmanager
-def open_log(store: Path) -> Iterator[Log]:
+def open_log(store: Path) -> Iterator[ReadableLog]:
     """Yield the log of a store, told by the gate that holds it when one answers, or an export's.
 
     Raises:
@@ -51,19 +51,19 @@ def open_log(store: Path) -> Iterator[Log]:
     """
     if is_export(store):
         note = exported_note(store)
-        yield Log(exported_rows(store), notes=() if note is None else (note,))
+        yield ReadableLog(exported_rows(store), notes=() if note is None else (note,))
         return
     beside = beside_store(store)
     client = None if beside is None else _reader(Path(beside.socket))
     if client is None:
         with told_of(beside, store, tried=True):
             held = [read_held(store, CHECKPOINT, key) for key in (NEWEST, WITNESSED)]
-            yield Log(read_rows(store), notes=tuple(filter(None, dict.fromkeys(held))))
+            yield ReadableLog(read_rows(store), notes=tuple(filter(None, dict.fromkeys(held))))
         return
     with client:
         status = client.status()
         notes = [str(note).encode() for note in (status.get("anchor") or {}).get("notes", ())]
-        yield Log(_told(client, status), beside, status, tuple(notes))
+        yield ReadableLog(_told(client, status), beside, status, tuple(notes))
 
 
 def _reader(path: Path) -> GateClient | None:
@@ -76,7 +76,7 @@ def _reader(path: Path) -> GateClient | None:
         raise
 
 
-def _told(client: GateClient, status: dict[str, Any]) -> Iterator[Row]:
+def _told(client: GateClient, status: dict[str, Any]) -> Iterator[LogRow]:
     """Yield the records that are there now; what comes meanwhile is left for the next time."""
     first, size = 0, (status.get("log") or {}).get("size", 0)
     while first < size:
@@ -88,11 +88,11 @@ def _told(client: GateClient, status: dict[str, Any]) -> Iterator[Row]:
             first += 1
 
 
-def _row(item: Any, number: int) -> Row:
+def _row(item: Any, number: int) -> LogRow:
     """Return a record in the bytes that it is stored in: a log holds canonical ones alone."""
     where = f"record {number}"
     try:
         record, sealed = encode(item["record"]), encode(item["sealed"])
-        return Row(int(item["seq"]), record, sealed, unb64(item["link"], where=where))
+        return LogRow(int(item["seq"]), record, sealed, unb64(item["link"], where=where))
     except (LookupError, TypeError, ValueError) as error:
         raise MalformedError("expected {seq, record, sealed, link}", where=where) from error

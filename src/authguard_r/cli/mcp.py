@@ -72,14 +72,14 @@ def mcp_command(
     from authguard_r.integrations.http_listener.access import listening, read_bearer
     from authguard_r.integrations.mcp.http_front import serve_http
     from authguard_r.integrations.mcp.pins import read_pins
-    from authguard_r.integrations.mcp.process import Setup, over_stdio, serve
+    from authguard_r.integrations.mcp.process import GatewaySetup, over_stdio, serve
 
     if (listen is None) != (bearer is None):
         text = "a port does not say who asks: give --listen with --token-file"
         raise typer.BadParameter(text, param_hint="--listen")
 
     model = load_site(site, trust)
-    setup = Setup(
+    setup = GatewaySetup(
         robot=RobotId(robot),
         run=run,
         site=model,

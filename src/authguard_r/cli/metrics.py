@@ -10,14 +10,14 @@ from typing import Annotated, Any
 
 import typer
 
-from authguard_r.cli.gateway import GateOption, ProofOption, Reading, RoleOption, connected
+from authguard_r.cli.gateway import GateOption, ProofOption, ReadingRole, RoleOption, connected
 from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.out import emit
 
 
 def metrics_command(
     gate: GateOption = None,
-    role: RoleOption = Reading.OPERATOR,
+    role: RoleOption = ReadingRole.OPERATOR,
     trust: ProofOption = None,
     listen: Annotated[
         str | None,
@@ -39,7 +39,9 @@ def metrics_command(
     return 0
 
 
-def _reader(gate: Path | None, role: Reading, trust: Path | None) -> Callable[[], dict[str, Any]]:
+def _reader(
+    gate: Path | None, role: ReadingRole, trust: Path | None
+) -> Callable[[], dict[str, Any]]:
     def read() -> dict[str, Any]:
         with connected(gate, role, trust) as client:
             return client.metrics()

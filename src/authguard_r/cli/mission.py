@@ -14,7 +14,7 @@ import typer
 
 from authguard_r.approvals.organization import VerifiedPolicy
 from authguard_r.authoring.compile.answers import compile_answered, read_answers
-from authguard_r.authoring.compile.card import Demand, card_digest, review
+from authguard_r.authoring.compile.card import OrganizationDemand, card_digest, review
 from authguard_r.authoring.compile.difference import compare, is_next
 from authguard_r.authoring.compile.lint import Severity, finding_lines, lint
 from authguard_r.cli.ask import AnswerOption, NoInputFlag, ask_until, may_ask
@@ -141,12 +141,12 @@ def _risk(policy: Path | None, trust: Path | None) -> VerifiedPolicy | None:
     return read_risk_policy(policy, read_trust(trust), wall_now(None))
 
 
-def _demand(risk: VerifiedPolicy | None) -> Demand | None:
+def _demand(risk: VerifiedPolicy | None) -> OrganizationDemand | None:
     """Return what the card shows of an organization's policy."""
     if risk is None:
         return None
     own = risk.policy
-    return Demand(organization=own.organization, version=own.version, policy=own.policy)
+    return OrganizationDemand(organization=own.organization, version=own.version, policy=own.policy)
 
 
 @app.command("lint")

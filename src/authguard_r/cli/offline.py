@@ -13,7 +13,7 @@ from msgspec import Struct
 
 from authguard_r.anchoring.anchor import KIND, KNOWN, known_number
 from authguard_r.anchoring.counter import Counter, FileCounter
-from authguard_r.anchoring.evidence import SAID, Why
+from authguard_r.anchoring.evidence import SAID, Discrepancy
 from authguard_r.cli.gateway import beside_store, told_of
 from authguard_r.cli.inputs import gate_robot, load_site
 from authguard_r.core.errors import EnvironmentFault
@@ -32,7 +32,7 @@ NewOption = Annotated[
 ]
 
 
-class Kept(Struct, frozen=True, kw_only=True):
+class OfflineStore(Struct, frozen=True, kw_only=True):
     """A store that nobody holds, and what an act on it needs.
 
     Args:
@@ -53,7 +53,7 @@ class Kept(Struct, frozen=True, kw_only=True):
 
 
 @contextmanager
-def offline(place: Kept) -> Iterator[Gate]:
+def offline(place: OfflineStore) -> Iterator[Gate]:
     """Yield the gate of a store that nobody holds, for one act.
 
     Raises:
@@ -88,7 +88,7 @@ def counter_of(store: Path, counter: Path | None) -> Counter | None:
     if counter is None:
         used = store.is_file() and store.stat().st_size > 0  # an empty file is a new store
         if used and known_number(read_held(store, KIND, KNOWN)) is not None:
-            why = Why.COUNTER_NOT_NAMED
+            why = Discrepancy.COUNTER_NOT_NAMED
             raise _unusable(f"{why}: {SAID[why]}; start the gate, or name --counter", str(store))
         return None
     for found in apart_advice(Files(store=store, counter=counter)):

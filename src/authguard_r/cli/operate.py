@@ -9,14 +9,8 @@ from typing import Annotated, Any
 
 import typer
 
-from authguard_r.anchoring.evidence import Why
-from authguard_r.cli.gateway import (
-    GateOption,
-    ProofOption,
-    Reading,
-    RoleOption,
-    connected,
-)
+from authguard_r.anchoring.evidence import Discrepancy
+from authguard_r.cli.gateway import GateOption, ProofOption, ReadingRole, RoleOption, connected
 from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.log_explain import DraftOption, explained, write_change
 from authguard_r.cli.log_reading import strange
@@ -36,30 +30,33 @@ _HEARD = ("planner", "estimator", "controller")
 _WAY_OUT = ("STORE PUT BACK", "find out why, then: authguard recover")
 _OLDER = "put the newest store in place; if there is none, find out why, then: authguard recover"
 WAYS_OUT: Mapping[str, tuple[str, str]] = {
-    Why.BEHIND: ("STORE PUT BACK", _OLDER),
-    Why.FORKED: ("STORE PUT BACK", _OLDER),
-    Why.REPLACED: ("STORE REPLACED", "look at --store; if it is the right one: authguard recover"),
-    Why.CHECKPOINT_DIFFERS: (
+    Discrepancy.BEHIND: ("STORE PUT BACK", _OLDER),
+    Discrepancy.FORKED: ("STORE PUT BACK", _OLDER),
+    Discrepancy.REPLACED: (
+        "STORE REPLACED",
+        "look at --store; if it is the right one: authguard recover",
+    ),
+    Discrepancy.CHECKPOINT_DIFFERS: (
         "LOG CHANGED",
         "find out who wrote into it; put a sound store in place, or: authguard recover",
     ),
-    Why.COUNTER_MISSING: (
+    Discrepancy.COUNTER_MISSING: (
         "COUNTER GONE",
         "look at --counter, put the file back; if it is lost: authguard recover",
     ),
-    Why.COUNTER_BEHIND: (
+    Discrepancy.COUNTER_BEHIND: (
         "COUNTER PUT BACK",
         "put the newest one in place; if it is lost: authguard recover",
     ),
-    Why.COUNTER_FOREIGN: (
+    Discrepancy.COUNTER_FOREIGN: (
         "COUNTER DAMAGED",
         "look at --counter; recovering writes over that file: authguard recover",
     ),
-    Why.COUNTER_UNREADABLE: (
+    Discrepancy.COUNTER_UNREADABLE: (
         "COUNTER NOT READ",
         "look at --counter and its mount, then start the gate again; nothing is to be signed",
     ),
-    Why.COUNTER_NOT_NAMED: (
+    Discrepancy.COUNTER_NOT_NAMED: (
         "COUNTER NOT NAMED",
         "start the gate again with its --counter; nothing is to be signed",
     ),
@@ -68,7 +65,7 @@ WAYS_OUT: Mapping[str, tuple[str, str]] = {
 
 def status_command(
     gate: GateOption = None,
-    role: RoleOption = Reading.OPERATOR,
+    role: RoleOption = ReadingRole.OPERATOR,
     trust: ProofOption = None,
     as_json: JsonFlag = False,
 ) -> int:
@@ -133,7 +130,7 @@ def resume_command(
     signed = signed_order(
         token, trust, template, key, cert, verb=Verb.RESUME, passphrase_file=passphrase_file
     )
-    with connected(gate, Reading.OPERATOR, trust) as client:
+    with connected(gate, ReadingRole.OPERATOR, trust) as client:
         standing = client.command(signed)
     payload = {"standing": standing, "status": standing.get("status")}
     line = f"{standing.get('mid')} version {standing.get('version')}: {standing.get('status')}"
@@ -147,7 +144,7 @@ def explain_command(
         typer.Argument(help="The record's number (default: the last refused proposal).", min=0),
     ] = None,
     gate: GateOption = None,
-    role: RoleOption = Reading.OPERATOR,
+    role: RoleOption = ReadingRole.OPERATOR,
     trust: ProofOption = None,
     store: Annotated[
         Path | None, typer.Option("--store", help="Read a store that no gate holds.")

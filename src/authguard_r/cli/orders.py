@@ -27,7 +27,7 @@ from authguard_r.cli.inputs import (
 )
 from authguard_r.cli.mission import TokenArgument, app
 from authguard_r.cli.mission_files import beside_token, warn
-from authguard_r.cli.offline import CounterOption, Kept, NewOption, offline
+from authguard_r.cli.offline import CounterOption, NewOption, OfflineStore, offline
 from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile, open_signer
 from authguard_r.core.encoding import Tag, b64
@@ -64,7 +64,7 @@ TemplateOption = Annotated[
 ]
 
 
-class Known(StrEnum):
+class KnownOutcome(StrEnum):
     """How a release can be said to have ended; that it is unknown, nobody needs to sign."""
 
     SUCCEEDED = "succeeded"
@@ -91,7 +91,7 @@ def issue_command(
 ) -> int:
     """Hand in a signed mission, its next version, or a template's instance; activate nothing."""
     data, said = _handed(token, confirmation)
-    place = Kept(store=store, trust=trust, site=site, robot=robot, counter=counter, new=new)
+    place = OfflineStore(store=store, trust=trust, site=site, robot=robot, counter=counter, new=new)
     return manage(place, lambda m: m.issue(data, confirmation=said), as_json=as_json)
 
 
@@ -109,7 +109,7 @@ def activate_command(
 ) -> int:
     """Take in a signed mission, its next version, or a template's instance; make it active."""
     data, said = _handed(token, confirmation)
-    place = Kept(store=store, trust=trust, site=site, robot=robot, counter=counter, new=new)
+    place = OfflineStore(store=store, trust=trust, site=site, robot=robot, counter=counter, new=new)
     return manage(place, lambda m: m.activate(data, confirmation=said), as_json=as_json)
 
 
@@ -148,7 +148,7 @@ def _order(verb: Verb) -> Callable[..., int]:
         signed = signed_order(
             token, trust, template, key, cert, verb=verb, passphrase_file=passphrase_file
         )
-        place = Kept(store=store, trust=trust, site=site, robot=robot, counter=counter)
+        place = OfflineStore(store=store, trust=trust, site=site, robot=robot, counter=counter)
         return manage(place, lambda m: m.command(signed), as_json=as_json)
 
     order.__doc__ = {
@@ -171,7 +171,7 @@ def resolve_command(
     site: SiteOption,
     store: StoreOption,
     ticket: Annotated[str, typer.Option("--ticket", help="The open release.")],
-    outcome: Annotated[Known, typer.Option("--outcome", help="What became of it.")],
+    outcome: Annotated[KnownOutcome, typer.Option("--outcome", help="What became of it.")],
     key: KeyOption = None,
     cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
@@ -186,7 +186,7 @@ def resolve_command(
     signed = _command(
         verified, signer, Verb.RESOLVE, ticket=Digest(ticket), outcome=Outcome(outcome)
     )
-    place = Kept(store=store, trust=trust, site=site, robot=robot, counter=counter)
+    place = OfflineStore(store=store, trust=trust, site=site, robot=robot, counter=counter)
     return manage(place, lambda m: m.command(signed), as_json=as_json)
 
 
@@ -231,7 +231,7 @@ def choose_command(
     )
     signed = sign_object(selection, Tag.SELECTION, signer)
     said = [] if asks else shown
-    place = Kept(store=store, trust=trust, site=site, robot=robot, counter=counter)
+    place = OfflineStore(store=store, trust=trust, site=site, robot=robot, counter=counter)
     return manage(place, lambda m: m.select(signed), said, as_json=as_json)
 
 
@@ -250,7 +250,7 @@ def row_lines(mission: Mission, grant: str, number: int, site: Site) -> list[str
 
 
 def manage(
-    place: Kept,
+    place: OfflineStore,
     act: Callable[[Orders], Standing],
     said: Iterable[str] = (),
     *,
@@ -265,12 +265,12 @@ def manage(
     return 0
 
 
-def alone(by_gate: bool, place: Kept) -> list[str]:
+def alone(by_gate: bool, place: OfflineStore) -> list[str]:
     """Return the line that says that no robot has heard of it."""
     return [] if by_gate else [f"no gate answered: this is in the store {place.store} alone"]
 
 
-def managed(place: Kept, act: Callable[[Orders], T]) -> tuple[T, bool]:
+def managed(place: OfflineStore, act: Callable[[Orders], T]) -> tuple[T, bool]:
     """Do an act of management, by the gate that holds the store or on the store itself.
 
     Returns:

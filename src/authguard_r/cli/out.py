@@ -25,7 +25,7 @@ from authguard_r.core.finding import Finding
 from authguard_r.core.standing import Outcome
 from authguard_r.enforcement.report import Judged, Report
 from authguard_r.provenance.context import Influence
-from authguard_r.provenance.mentions import How
+from authguard_r.provenance.mentions import MentionMatch
 
 
 def emit(payload: dict[str, Any], lines: Iterable[str], *, as_json: bool) -> None:
@@ -140,9 +140,9 @@ def report_lines(report: Report) -> list[str]:
 
 
 def _mentions(item: Influence) -> str:
-    if item.how is How.UNREAD:
+    if item.how is MentionMatch.UNREAD:
         return "is too long to be read and may mention"
-    return "mentions" if item.how is How.EXACT else f"mentions ({item.how})"
+    return "mentions" if item.how is MentionMatch.EXACT else f"mentions ({item.how})"
 
 
 def _finding_line(finding: Finding) -> str:

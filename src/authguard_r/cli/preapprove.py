@@ -11,11 +11,11 @@ from typing import Annotated
 
 import typer
 
-from authguard_r.authoring.compile.questions import Questions
+from authguard_r.authoring.compile.questions import CompileQuestions
 from authguard_r.cli.ask import confirm_shown
 from authguard_r.cli.inputs import JsonFlag, SiteOption, TrustOption, load_site, wall_now
 from authguard_r.cli.mission import TokenArgument
-from authguard_r.cli.offline import CounterOption, Kept
+from authguard_r.cli.offline import CounterOption, OfflineStore
 from authguard_r.cli.orders import (
     RobotOption,
     StoreOption,
@@ -93,7 +93,7 @@ def preapprove_command(
     if not yes:
         confirm_shown(lines, "Pre-approve exactly this?", as_json=as_json)
     signed = sign_object(said, Tag.PREAPPROVAL, open_signer(key, cert, passphrase_file))
-    place = Kept(store=store, trust=trust, site=site, robot=robot, counter=counter)
+    place = OfflineStore(store=store, trust=trust, site=site, robot=robot, counter=counter)
     lines.append("the gate took it in" if uses else "the gate took the withdrawal in")
     return manage(place, lambda m: m.select(signed), lines, as_json=as_json)
 
@@ -104,7 +104,7 @@ def _end(now_ms: int, valid: str, verified: VerifiedMission) -> int:
     Raises:
         MalformedError: no length of time, or longer than the mission.
     """
-    asked = Questions()
+    asked = CompileQuestions()
     length = asked.integer(valid, "ms", field="--valid")
     asked.require_none()
     end_ms = now_ms + (length or 0)

@@ -11,11 +11,11 @@ from msgspec.structs import replace
 
 from authguard_r.audit.prompts import activated, count_prompts
 from authguard_r.audit.record import Record, read_record, read_sealed
-from authguard_r.audit.verify import Row
+from authguard_r.audit.verify import LogRow
 from authguard_r.cli.audit import StoreArgument
 from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.log_reading import strange
-from authguard_r.cli.logs import Log, open_log
+from authguard_r.cli.logs import ReadableLog, open_log
 from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile
 from authguard_r.cli.unsealing import ReaderOption, opening_of
@@ -66,7 +66,9 @@ def _held(store: Path, records: list[Record]) -> dict[Any, Standing | None]:
     return standings
 
 
-def _told(log: Log, rows: list[Row], records: list[Record]) -> dict[Any, Standing | None]:
+def _told(
+    log: ReadableLog, rows: list[LogRow], records: list[Record]
+) -> dict[Any, Standing | None]:
     """Return what a gate's log and status say of its missions: the last that a decision saw."""
     standings: dict[Any, Standing | None] = dict.fromkeys(activated(records))
     for row, record in zip(rows, records, strict=True):

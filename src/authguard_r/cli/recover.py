@@ -12,7 +12,7 @@ import typer
 
 from authguard_r.anchoring.evidence import BY_COUNTER, BY_STORE
 from authguard_r.cli.ask import confirm_shown
-from authguard_r.cli.gateway import GateOption, Reading, connected
+from authguard_r.cli.gateway import GateOption, ReadingRole, connected
 from authguard_r.cli.inputs import JsonFlag, wall_now
 from authguard_r.cli.orders import ORDER_MS, CertOption, KeyOption
 from authguard_r.cli.out import emit
@@ -71,7 +71,7 @@ def recover_command(
     mission stays suspended until `resume`, and every other one has to be signed anew.
     """
     signer = _signer(trust, key, cert, passphrase_file)
-    with connected(gate, Reading.OPERATOR, trust) as client:
+    with connected(gate, ReadingRole.OPERATOR, trust) as client:
         status = _read(client.status())
         if status.anchor.state != "put_back":
             text = f"the store is {status.anchor.state}: there is nothing to accept"

@@ -20,7 +20,7 @@ from msgspec import Struct
 import authguard_reference as oracle
 from authguard_r.audit.missing import told as told_missing
 from authguard_r.audit.record import NONE, Record, read_record, read_sealed
-from authguard_r.audit.verify import Row, Verification, verify_rows
+from authguard_r.audit.verify import LogRow, Verification, verify_rows
 from authguard_r.auditor.replay.repairs import Repairs
 from authguard_r.auditor.replay.sources import FAR_MS, Forged, Inputs, Lacking, Sources
 from authguard_r.auditor.replay.text import plain
@@ -29,7 +29,7 @@ from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.listing import Listing, listing
 from authguard_r.cli.log_reading import reading
 from authguard_r.cli.signing_key import PassphraseFile
-from authguard_r.cli.unsealing import Opening, ReaderOption, opening_of
+from authguard_r.cli.unsealing import LogOpening, ReaderOption, opening_of
 from authguard_r.core.errors import AuthenticityError, MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.trust import Trust, read_trust
@@ -68,7 +68,7 @@ class Left(Struct, kw_only=True):
     last: int = 0
 
 
-class Replay:
+class LogReplay:
     """One pass over a log: what agrees, what differs, what cannot be said.
 
     Args:
@@ -88,7 +88,7 @@ class Replay:
         self.unchecked = 0  # accepted, and the log does not say what the second gate was held to
         self.left: dict[str, Left] = {}
 
-    def see(self, row: Row) -> Difference | None:
+    def see(self, row: LogRow) -> Difference | None:
         """Take in one row that follows from those before it; return what is wrong with it.
 
         Raises:
@@ -112,7 +112,7 @@ class Replay:
         found = self._sources.inputs(record, values)
         return self._decided(record, Forged(wrong_repair) if wrong_repair else found)
 
-    def not_sealed(self, row: Row, error: AuthenticityError | MalformedError) -> Difference:
+    def not_sealed(self, row: LogRow, error: AuthenticityError | MalformedError) -> Difference:
         """Return what is wrong with a row whose boxes no gate has sealed."""
         record = read_record(row.record, where=f"record {row.seq}")
         return self._forged(record, Forged(f"{error.reason}: {error.message} (at {error.where})"))
@@ -235,7 +235,7 @@ def recorded(record: Record) -> dict[str, Any]:
 
 
 def replayed(
-    rows: Iterable[Row], replay: Replay, out: Listing, opening: Opening | None = None
+    rows: Iterable[LogRow], replay: LogReplay, out: Listing, opening: LogOpening | None = None
 ) -> Verification:
     """Verify a log and replay it in one pass; each difference is told as it is found.
 
@@ -247,9 +247,9 @@ def replayed(
         out: where differences go.
         opening: what opens its rows; None: whoever has the log alone.
     """
-    open_row = (opening or Opening()).opened
+    open_row = (opening or LogOpening()).opened
 
-    def followed() -> Iterator[Row]:
+    def followed() -> Iterator[LogRow]:
         for row in rows:
             yield row  # whoever verifies asks for the next one only when this one held
             out.tick(row.seq)
@@ -284,7 +284,7 @@ def replay_command(
     values which no order in it has destroyed.
     """
     anchor = None if trust is None else read_trust(trust)
-    replay, opening = Replay(anchor, first=first), opening_of(reader, passphrase_file)
+    replay, opening = LogReplay(anchor, first=first), opening_of(reader, passphrase_file)
     with listing("differences", as_json=as_json) as out, reading(store) as log:
         found = replayed(log.rows, replay, out, opening)
         told_by = None if log.gate is None else log.gate.pid
@@ -315,7 +315,7 @@ def replay_command(
     return 0 if found.whole and not (replay.differ or found.missing) else 1
 
 
-def _lines(replay: Replay, found: Verification) -> Iterator[str]:
+def _lines(replay: LogReplay, found: Verification) -> Iterator[str]:
     if found.whole:
         yield f"whole: {found.size} records, head {found.head}"
     else:

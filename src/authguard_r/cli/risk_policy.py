@@ -20,9 +20,9 @@ from authguard_r.approvals.organization import (
     require_sound_policy,
 )
 from authguard_r.authoring.compile.draft import DraftRisk
-from authguard_r.authoring.compile.grants import Words
+from authguard_r.authoring.compile.grants import GrantWords
 from authguard_r.authoring.compile.names import names_of
-from authguard_r.authoring.compile.questions import Questions
+from authguard_r.authoring.compile.questions import CompileQuestions
 from authguard_r.authoring.compile.totals import build_risk
 from authguard_r.cli.inputs import JsonFlag, NowOption, load_site, wall_now
 from authguard_r.cli.out import emit
@@ -56,7 +56,7 @@ _DEFAULTS = """\
 """
 
 
-class Form(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class RiskPolicyForm(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A policy as people write it; `policy` is written like a draft's `risk_policy`."""
 
     organization: Identifier
@@ -161,9 +161,9 @@ def _read(file: Path, site: Site) -> OrganizationPolicy:
         ClarificationError: a number that nobody said.
     """
     where = str(file)
-    form = convert(read_yaml(read_text(file), where=where), Form, where=where)
-    asked = Questions()
-    words = Words(site=site, names=names_of(site), rid=None, ceilings={}, asked=asked)
+    form = convert(read_yaml(read_text(file), where=where), RiskPolicyForm, where=where)
+    asked = CompileQuestions()
+    words = GrantWords(site=site, names=names_of(site), rid=None, ceilings={}, asked=asked)
     plain = build_risk(form.policy, words)
     asked.require_none()
     made = {

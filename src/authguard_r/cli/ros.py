@@ -23,7 +23,7 @@ from authguard_r.integrations.ros.calls import fitted
 from authguard_r.integrations.ros.map import RosMap, read_map
 
 if TYPE_CHECKING:
-    from authguard_r.integrations.ros.keycheck import Fault
+    from authguard_r.integrations.ros.keycheck import KeystoreFault
 
 app = typer.Typer(help="ROS 2: the map, its keystore, and what they let through.")
 MapArgument = Annotated[Path, typer.Argument(metavar="MAP", help="The robot's ROS map.")]
@@ -97,7 +97,7 @@ def check_command(
     if binding is not None and site is not None:
         model = load_site(site)
         fitted(read_binding(binding, model), ros, model)
-    faults: list[Fault] = []
+    faults: list[KeystoreFault] = []
     if keystore is not None or enclave is not None:
         require_extra()
         from authguard_r.integrations.ros.keycheck import check_keystore
@@ -121,7 +121,7 @@ def check_command(
 
 
 def _lines(
-    ros: RosMap, faults: Iterable[Fault], *, looked: bool, enclave: str | None
+    ros: RosMap, faults: Iterable[KeystoreFault], *, looked: bool, enclave: str | None
 ) -> Iterator[str]:
     yield f"{ros.robot}, domain {ros.domain}"
     for key, item in ros.mediated.items():

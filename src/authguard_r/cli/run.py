@@ -35,7 +35,7 @@ from authguard_r.cli.inputs import (
     read_input,
     wall_now,
 )
-from authguard_r.cli.offline import CounterOption, Kept, counter_of, offline
+from authguard_r.cli.offline import CounterOption, OfflineStore, counter_of, offline
 from authguard_r.cli.out import emit, exit_code, report_code, report_lines
 from authguard_r.core.encoding import Tag, b64, decode, digest, unb64
 from authguard_r.core.errors import AuthGuardError
@@ -46,7 +46,7 @@ from authguard_r.core.quantities import Now, to_timestamp
 from authguard_r.core.standing import Outcome
 from authguard_r.core.token import read_token
 from authguard_r.enforcement.json_views import plan_json, report_json
-from authguard_r.enforcement.management.configurations import Configuration, Part
+from authguard_r.enforcement.management.configurations import Configuration, ConfiguredPart
 from authguard_r.enforcement.report import Report
 from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_file, read_trust
@@ -54,7 +54,7 @@ from authguard_r.normalize import Dialect, normalize
 from authguard_r.normalize.binding import Binding, binding_digest
 from authguard_r.operations.simulation import Simulation, simulate
 from authguard_r.provenance.context import ContextLedger
-from authguard_r.provenance.mentions import How
+from authguard_r.provenance.mentions import MentionMatch
 from authguard_r.safety import (
     SafetyConfig,
     TemporalGate,
@@ -73,14 +73,14 @@ from authguard_r.store.clocks import store_clock
 PLANNER = "planner"
 
 
-class Change(Struct, frozen=True, kw_only=True):
+class ProposedChange(Struct, frozen=True, kw_only=True):
     """A next version that would allow what was refused: as a draft, and what it adds."""
 
     draft: dict[str, Any]
     adds: tuple[str, ...]
 
 
-class Run(Struct, frozen=True, kw_only=True):
+class PlanResult(Struct, frozen=True, kw_only=True):
     """What became of one plan.
 
     Args:
@@ -94,7 +94,7 @@ class Run(Struct, frozen=True, kw_only=True):
     reports: tuple[Report, ...]
     steps: int
     alerts: tuple[str, ...] = ()
-    change: Change | None = None
+    change: ProposedChange | None = None
     then: str | None = None
 
 
@@ -106,7 +106,7 @@ def run_plan(
     context: ContextLedger,
     ask: bool,
     repair: bool = False,
-) -> Run:
+) -> PlanResult:
     """Read a plan whole, then decide and carry out each step when its turn comes.
 
     Args:
@@ -121,7 +121,8 @@ def run_plan(
     try:
         read = normalize(plan, binder=simulation.binder, dialect=dialect)
     except AuthGuardError as error:
-        return Run(reports=(enforcer.refuse_plan(error, planner=PLANNER),), steps=0, then="hold")
+        refused = enforcer.refuse_plan(error, planner=PLANNER)
+        return PlanResult(reports=(refused,), steps=0, then="hold")
     propose = partial(enforcer.propose, planner=PLANNER, evidence=read.evidence, context=context)
     reports: list[Report] = []
     for step in read.steps:
@@ -129,7 +130,7 @@ def run_plan(
         reports.append(report)
         if report.outcome is not Outcome.SUCCEEDED:
             break
-    ran, last = Run(reports=tuple(reports), steps=len(read.steps)), reports[-1]
+    ran, last = PlanResult(reports=tuple(reports), steps=len(read.steps)), reports[-1]
     if len(reports) == len(read.steps) and last.outcome is Outcome.SUCCEEDED:
         return ran
     then, change = _after_refusal(simulation, last, ask=ask), _change(simulation, last)
@@ -221,7 +222,7 @@ def stop_command(
 
     It reaches no robot: the symbolic one lives only while `run` does.
     """
-    place = Kept(store=store, trust=trust, site=site, robot=robot, counter=counter)
+    place = OfflineStore(store=store, trust=trust, site=site, robot=robot, counter=counter)
     with offline(place) as gate:
         gate.enforcer.stop(by="operator", is_planner=False, suspends=True)
     line = (
@@ -235,10 +236,10 @@ def stop_command(
 def _hold(simulation: Simulation, config: SafetyConfig, binding: Binding) -> None:
     """Hold what is in force against what the store has seen (`server.configurations`)."""
     parts = {
-        Part.BINDING: Configuration(digest=binding_digest(binding)),
-        Part.SAFETY: Configuration(digest=safety_digest(config), version=config.version),
+        ConfiguredPart.BINDING: Configuration(digest=binding_digest(binding)),
+        ConfiguredPart.SAFETY: Configuration(digest=safety_digest(config), version=config.version),
     }
-    sealed: dict[Part, dict[str, object]] = {Part.SAFETY: {"safety": config}}
+    sealed: dict[ConfiguredPart, dict[str, object]] = {ConfiguredPart.SAFETY: {"safety": config}}
     simulation.gate.management.hold_configurations(parts, sealed=sealed)
 
 
@@ -296,14 +297,14 @@ def _alerts(report: Report) -> tuple[str, ...]:
     alerts += [f"aborted: {finding.reason}" for finding in report.reasons]
     alerts += [
         f"influenced by {item.channel}: too long to be read, it may mention `{item.value}`"
-        if item.how is How.UNREAD
+        if item.how is MentionMatch.UNREAD
         else f"influenced by {item.channel}: it mentions `{item.value}`"
         for item in report.influences
     ]
     return tuple(alerts)
 
 
-def _change(simulation: Simulation, report: Report) -> Change | None:
+def _change(simulation: Simulation, report: Report) -> ProposedChange | None:
     """Return the smallest signed change that would allow the refused step, as a draft."""
     judged = report.judged
     if judged is None or judged.decision.match is None or report.outcome is not None:
@@ -321,11 +322,11 @@ def _change(simulation: Simulation, report: Report) -> Change | None:
     if amended is None:
         return None
     adds = compare(judged.verified.mission, amended, simulation.robot.site)
-    return Change(draft=to_draft(amended), adds=adds)
+    return ProposedChange(draft=to_draft(amended), adds=adds)
 
 
 def _payload(
-    simulation: Simulation, runs: list[Run], path: Path, weights: Weights
+    simulation: Simulation, runs: list[PlanResult], path: Path, weights: Weights
 ) -> dict[str, Any]:
     terminal = sign_terminal(simulation.gate, simulation.signer)
     anchor = path.with_suffix(".checkpoint")
@@ -345,7 +346,7 @@ def _payload(
     }
 
 
-def _lines(runs: list[Run], path: Path) -> list[str]:
+def _lines(runs: list[PlanResult], path: Path) -> list[str]:
     lines: list[str] = []
     for run in runs:
         for report in run.reports:
@@ -359,7 +360,7 @@ def _lines(runs: list[Run], path: Path) -> list[str]:
     return [*lines, f"log: {path} (authguard audit verify {path})"]
 
 
-def _code(run: Run) -> int:
+def _code(run: PlanResult) -> int:
     codes = [report_code(report) for report in run.reports]
     if run.steps == 0:
         refusal = run.reports[0].refusal
@@ -367,4 +368,4 @@ def _code(run: Run) -> int:
     return max(codes)
 
 
-__all__ = ["Run", "exit_code", "folder_signer", "run_command", "run_plan", "stop_command"]
+__all__ = ["PlanResult", "exit_code", "folder_signer", "run_command", "run_plan", "stop_command"]

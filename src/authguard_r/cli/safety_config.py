@@ -15,7 +15,7 @@ from msgspec import to_builtins
 
 from authguard_r.cli.inputs import JsonFlag, NowOption, SiteOption, load_site, wall_now
 from authguard_r.cli.out import emit
-from authguard_r.cli.safety_form import Form, own_envelope, read_form, written
+from authguard_r.cli.safety_form import SafetyForm, own_envelope, read_form, written
 from authguard_r.cli.sign import sign_shown
 from authguard_r.cli.signing_key import PassphraseFile, open_signer, require_role
 from authguard_r.core.encoding import Tag
@@ -23,7 +23,7 @@ from authguard_r.enforcement.templates import claimed
 from authguard_r.keys.files import write_whole
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.operations.checkup.users import user_name
-from authguard_r.safety import Checker, Rule, SafetyConfig, open_config, safety_digest
+from authguard_r.safety import ExternalChecker, Rule, SafetyConfig, open_config, safety_digest
 from authguard_r.safety.config import THE_OBJECT, Executable
 from authguard_r.safety.signed import CONFIG_ROLES
 from authguard_r.server.process import ASKED_MS
@@ -64,7 +64,7 @@ def sign(
 ) -> int:
     """Show what is demanded, ask, and sign; a checker's user by name is this machine's."""
     model, where = load_site(site, trust), str(file)
-    form = convert(read_yaml(read_text(file), where=where), Form, where=where)
+    form = convert(read_yaml(read_text(file), where=where), SafetyForm, where=where)
     config, signer = read_form(form, model, where=where), open_signer(key, cert, passphrase_file)
     require_role(signer, CONFIG_ROLES, trust)
     changed = _changed(config, own_envelope(model, config.rid, where=where))
@@ -139,7 +139,7 @@ def _rule_line(rule: Rule) -> str:
     return f"  rule {rule.id}: {quoted(rule.formula)}{said}"
 
 
-def _checker_lines(checker: Checker | None) -> Iterator[str]:
+def _checker_lines(checker: ExternalChecker | None) -> Iterator[str]:
     if checker is None:
         yield "  no checker is asked"
         return

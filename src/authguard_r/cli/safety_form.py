@@ -68,7 +68,7 @@ class CheckerForm(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     uid: Line | int | None = None
 
 
-class Form(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class SafetyForm(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A configuration as people write it; see `safety.SafetyConfig`.
 
     What is left out is as in `safety.default_config`. A list or table that is there is the whole
@@ -104,7 +104,7 @@ def own_envelope(site: Site, robot: str, *, where: str) -> SafetyConfig:
     return replace(default_config(site, RobotId(robot)), version=site.version)  # to be signed
 
 
-def read_form(form: Form, site: Site, *, where: str) -> SafetyConfig:
+def read_form(form: SafetyForm, site: Site, *, where: str) -> SafetyConfig:
     """Return what people wrote as it is signed: quantities in units, sets sorted.
 
     Args:
@@ -172,7 +172,7 @@ def _checker(form: CheckerForm, *, where: str) -> dict[str, Any]:
     }
 
 
-def _require_known(form: Form, site: Site, own: SafetyConfig, *, where: str) -> None:
+def _require_known(form: SafetyForm, site: Site, own: SafetyConfig, *, where: str) -> None:
     """Refuse words that the site does not have: a slip of the pen would protect nothing."""
     for place, word, known, what in _named(form, site, own):
         if word not in known:
@@ -180,7 +180,7 @@ def _require_known(form: Form, site: Site, own: SafetyConfig, *, where: str) -> 
 
 
 def _named(
-    form: Form, site: Site, own: SafetyConfig
+    form: SafetyForm, site: Site, own: SafetyConfig
 ) -> Iterator[tuple[str, str, Collection[str], str]]:
     """Yield each word of the site: where it stands, it, those that there are, what is meant."""
     kinds, what = site.vocabulary, "action type"

@@ -25,7 +25,7 @@ from authguard_r.core.errors import StoreError
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.notes import require_all
 from authguard_r.store.folder import Folder
-from authguard_r.store.segments import MARK, SEGMENT, Found, find, links, name_of
+from authguard_r.store.segments import MARK, SEGMENT, SegmentClaims, find, links, name_of
 from authguard_r.store.sqlite import read_held
 
 
@@ -97,7 +97,9 @@ def _told(folder: Folder, keys: tuple[NoteKey, ...]) -> Iterator[dict[str, Any]]
         }
 
 
-def _require_signed(found: Found, tree: Frontier, keys: tuple[NoteKey, ...], *, where: str) -> None:
+def _require_signed(
+    found: SegmentClaims, tree: Frontier, keys: tuple[NoteKey, ...], *, where: str
+) -> None:
     note = read_note(found.note, where=where)
     origin = read_checkpoint(note.text, where=where).origin
     said = require_all(note, tuple(one for one in keys if one.name == origin) or keys, where=where)

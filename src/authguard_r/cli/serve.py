@@ -102,7 +102,7 @@ def serve_command(
     context = _tls(tls_cert, tls_key, client_certificates=client_certificates)
     otherwise = "for a wider one give --tls-cert and --tls-key"
     with listening(listen, wide=context is not None, otherwise=otherwise) as made:
-        setup = process.Setup(
+        setup = process.HttpSetup(
             where=GatePlace(
                 robot=RobotId(robot),
                 run=run,

@@ -12,9 +12,9 @@ from msgspec import to_builtins
 
 from authguard_r.audit.record import NONE
 from authguard_r.cli.ask import confirm_shown
-from authguard_r.cli.gateway import GateOption, Reading, connected
+from authguard_r.cli.gateway import GateOption, ReadingRole, connected
 from authguard_r.cli.inputs import JsonFlag, gate_robot, wall_now
-from authguard_r.cli.offline import CounterOption, Kept, offline
+from authguard_r.cli.offline import CounterOption, OfflineStore, offline
 from authguard_r.cli.orders import ORDER_MS, CertOption, KeyOption, RobotOption
 from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile, open_signer, require_role
@@ -64,14 +64,14 @@ def shred_command(
     if not yes:
         confirm_shown(_lines(mission, classes), "Destroy them?", as_json=as_json)
     if store is None:
-        with connected(gate, Reading.OPERATOR, trust) as client:
+        with connected(gate, ReadingRole.OPERATOR, trust) as client:
             status = client.status()
             said = (status.get("robot"), (status.get("anchor") or {}).get("store"))
             done = client.shred(_signed(mission, classes, *map(str, said), signer=signer))
     elif site is None:
         raise typer.BadParameter("needs --site", param_hint="--store")
     else:
-        place = Kept(store=store, trust=trust, site=site, robot=robot, counter=counter)
+        place = OfflineStore(store=store, trust=trust, site=site, robot=robot, counter=counter)
         done = _offline(place, mission, classes, signer)
     count, order = len(done["keys"]), done["order"]
     lines = [f"destroyed: {count} key(s) of {', '.join(classes)}, record {order}"]
@@ -82,7 +82,7 @@ def shred_command(
 
 
 def _offline(
-    place: Kept, mission: str, classes: tuple[DataClass, ...], signer: FileSigner
+    place: OfflineStore, mission: str, classes: tuple[DataClass, ...], signer: FileSigner
 ) -> dict[str, Any]:
     """Carry the order out on a store that nobody holds, to its end."""
     with offline(place) as gate:

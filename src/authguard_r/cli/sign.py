@@ -37,7 +37,7 @@ from authguard_r.core.mission import Mission
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
-from authguard_r.enforcement.confirmation import How, confirm, confirmation_bytes
+from authguard_r.enforcement.confirmation import ConfirmationMode, confirm, confirmation_bytes
 from authguard_r.enforcement.inputs import ISSUER_ROLES
 from authguard_r.keys.files import PRIVATE, write_whole
 from authguard_r.keys.signer import FileSigner
@@ -64,7 +64,7 @@ YesOption = Annotated[
 ]
 
 
-class Reading(Struct, frozen=True, kw_only=True):
+class SignerView(Struct, frozen=True, kw_only=True):
     """What the signer gets to see; without the site there is no card, and little lint."""
 
     card: tuple[str, ...] = ()
@@ -83,7 +83,7 @@ class Agreed(Struct, frozen=True, kw_only=True):
     """How the signer came to sign: what a confirmation records of it."""
 
     card: Digest | None
-    how: How
+    how: ConfirmationMode
     accepted: tuple[LintCode, ...]
     now: Now
 
@@ -128,12 +128,12 @@ def sign_command(
     return 0
 
 
-def _read(mission: Mission, site: Path | None) -> Reading:
+def _read(mission: Mission, site: Path | None) -> SignerView:
     """Return card and lint; without the site only what can be found without it."""
     if site is None:
-        return Reading(findings=lint_alone(mission))
+        return SignerView(findings=lint_alone(mission))
     model = load_site(site)
-    return Reading(card=review(mission, model), findings=lint(mission, model))
+    return SignerView(card=review(mission, model), findings=lint(mission, model))
 
 
 def require_shown(site: Path | None, *, yes: bool) -> None:
@@ -143,7 +143,7 @@ def require_shown(site: Path | None, *, yes: bool) -> None:
 
 
 def agree(
-    reading: Reading, accepted: tuple[LintCode, ...], question: str, *, yes: bool, as_json: bool
+    reading: SignerView, accepted: tuple[LintCode, ...], question: str, *, yes: bool, as_json: bool
 ) -> Agreed:
     """Ask a person, unless a script signs, and say what was agreed to.
 
@@ -159,7 +159,7 @@ def agree(
     person = not yes and confirm_shown(reading.lines(), question, as_json=as_json)
     return Agreed(
         card=card_digest(reading.card) if reading.card else None,
-        how=How.INTERACTIVE if person else How.SCRIPT,
+        how=ConfirmationMode.INTERACTIVE if person else ConfirmationMode.SCRIPT,
         accepted=accepted,
         now=wall_now(None),
     )
@@ -237,7 +237,7 @@ def write_signed(target: Path, token: bytes, confirmation: bytes) -> Path:
     return beside
 
 
-def accepted_codes(names: list[str], reading: Reading) -> tuple[LintCode, ...]:
+def accepted_codes(names: list[str], reading: SignerView) -> tuple[LintCode, ...]:
     """Return the codes that the signer accepts; only what was found can be accepted."""
     found = errors(reading.findings)
     for name in names:
@@ -248,7 +248,7 @@ def accepted_codes(names: list[str], reading: Reading) -> tuple[LintCode, ...]:
     return tuple(code for code in found if code in names)
 
 
-def refuse_lint(reading: Reading, codes: list[LintCode], *, as_json: bool) -> int:
+def refuse_lint(reading: SignerView, codes: list[LintCode], *, as_json: bool) -> int:
     """Say what the signer has to mend or accept, and sign nothing."""
     message = f"mend it, or accept each by name: {' '.join(f'--accept {code}' for code in codes)}"
     where = next(f.where for f in reading.findings if f.code in codes)

@@ -13,7 +13,7 @@ import typer
 from authguard_r.authoring.site.change import changes, line_of
 from authguard_r.authoring.site.nav2 import import_map
 from authguard_r.authoring.site.picture import picture
-from authguard_r.authoring.site.proposal import Proposal, identifier, millimeters, to_yaml
+from authguard_r.authoring.site.proposal import SiteProposal, identifier, millimeters, to_yaml
 from authguard_r.authoring.site.scene import import_scene
 from authguard_r.cli.inputs import (
     JsonFlag,
@@ -211,7 +211,7 @@ def nav2_map(
     return _written(proposal, file, out, as_json=as_json)
 
 
-def _written(proposal: Proposal, file: Path, out: Path, *, as_json: bool) -> int:
+def _written(proposal: SiteProposal, file: Path, out: Path, *, as_json: bool) -> int:
     write_whole(out, to_yaml(proposal, where=str(file)).encode("utf-8"))
     model = proposal.site
     payload = {

@@ -18,12 +18,12 @@ from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.offline import CounterOption
 from authguard_r.cli.out import emit
 from authguard_r.cli.run import stop_command as stop_store
-from authguard_r.client.stopping import Answers, Reached, StopEverywhere
+from authguard_r.client.stopping import Answers, StopEverywhere, StopReply
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.wire.messages import ClientRole
 
 
-class Stopping(StrEnum):
+class StoppingRole(StrEnum):
     """What may stop at a lane, in the order in which a stop without `--role` tries them."""
 
     OPERATOR = "operator"
@@ -35,7 +35,7 @@ class Stopping(StrEnum):
 def stop_command(
     gate: GateOption = None,
     role: Annotated[
-        Stopping | None,
+        StoppingRole | None,
         typer.Option("--role", help="The role to stop as (default: the first that you may be)."),
     ] = None,
     why: Annotated[str, typer.Option("--why", help="For the log; decides nothing.")] = "",
@@ -60,7 +60,7 @@ def stop_command(
         if gate is not None or trust is None or site is None:
             raise typer.BadParameter("takes --trust and --site, not --gate", param_hint="--store")
         return stop_store(trust, site, store, robot, counter, as_json)
-    roles = [ClientRole(name) for name in (Stopping if role is None else (role,))]
+    roles = [ClientRole(name) for name in (StoppingRole if role is None else (role,))]
     stop = StopEverywhere(_folder(gate), roles=roles, why=why, client=CLIENT)
     try:
         reached = asyncio.run(stop.confirmed(lambda _: None if as_json else _tell(stop.answers)))
@@ -100,7 +100,7 @@ def _stop_lines(said: dict[str, Any]) -> list[str]:
 
 def _follows(role: str) -> str:
     """Return what a stop in a role means for the mission."""
-    if role != Stopping.OPERATOR:
+    if role != StoppingRole.OPERATOR:
         article = "an" if role[:1] in "aeiou" else "a"
         return f"recorded as {article} {role}'s stop"
     return (
@@ -120,7 +120,7 @@ def _missing(answers: Answers) -> list[str]:
     return [f"{part.words}: {_why(one)}" for part, one in answers.items() if not one.has_stopped]
 
 
-def _why(one: Reached) -> str:
+def _why(one: StopReply) -> str:
     """Return why a part has not confirmed the stop."""
     if one.why or one.hangs or one.answer is None:
         return one.why or "it does not answer"

@@ -27,12 +27,14 @@ def stop_lane_command(
 
     Trust, key and configuration are read once: a change of them takes a new lane.
     """
-    from authguard_r.estop.startup import LaneFiles, Ready, run_lane
+    from authguard_r.estop.startup import EStopFiles, EStopReady, run_lane
 
-    def say(ready: Ready) -> None:
+    def say(ready: EStopReady) -> None:
         line = f"{ready.socket}: stops are served for {ready.robot} (pid {ready.pid})"
         emit(msgspec.to_builtins(ready), [line], as_json=as_json)
 
-    files = LaneFiles(run=run, robot=RobotId(robot), trust=trust, key=key, cert=cert, config=config)
+    files = EStopFiles(
+        run=run, robot=RobotId(robot), trust=trust, key=key, cert=cert, config=config
+    )
     run_lane(files, say)
     return 0

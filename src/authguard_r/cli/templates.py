@@ -32,7 +32,7 @@ from authguard_r.cli.inputs import (
     wall_now,
 )
 from authguard_r.cli.mission_files import beside_token, lint_json, payload_of, warn
-from authguard_r.cli.offline import CounterOption, Kept, NewOption
+from authguard_r.cli.offline import CounterOption, NewOption, OfflineStore
 from authguard_r.cli.orders import (
     ORDER_MS,
     CertOption,
@@ -48,9 +48,9 @@ from authguard_r.cli.sign import (
     AcceptOption,
     IssuerCert,
     IssuerKey,
-    Reading,
     ShownSite,
     SignerTrust,
+    SignerView,
     TokenOut,
     YesOption,
     accepted_codes,
@@ -183,15 +183,15 @@ def sign_command(
     return 0
 
 
-def _read(template: Template, missions: tuple[Mission, ...], site: Path | None) -> Reading:
+def _read(template: Template, missions: tuple[Mission, ...], site: Path | None) -> SignerView:
     """Return card and lint of every combination; without the site only what needs none."""
     if site is None:
         each = dict.fromkeys(found for mission in missions for found in lint_alone(mission))
-        return Reading(findings=tuple(each))
+        return SignerView(findings=tuple(each))
     model = load_site(site)
     require_known(template, model)
     card = tuple(review_template(template, missions, model))
-    return Reading(card=card, findings=lint_template(missions, model))
+    return SignerView(card=card, findings=lint_template(missions, model))
 
 
 @app.command("show")
@@ -255,7 +255,7 @@ def admit_command(
     def act(orders: Orders) -> TemplateStanding:
         return orders.template(data, confirmation=said)
 
-    place = Kept(store=store, trust=trust, site=site, robot=robot, counter=counter, new=new)
+    place = OfflineStore(store=store, trust=trust, site=site, robot=robot, counter=counter, new=new)
     return _manage(place, act, as_json=as_json)
 
 
@@ -284,11 +284,13 @@ def withdraw_command(
         expires_ms=wall_now(None).utc_ms + ORDER_MS,
     )
     signed = sign_object(command, Tag.COMMAND, signer)
-    place = Kept(store=store, trust=trust, site=site, robot=robot, counter=counter)
+    place = OfflineStore(store=store, trust=trust, site=site, robot=robot, counter=counter)
     return _manage(place, lambda m: m.template(signed), as_json=as_json)
 
 
-def _manage(place: Kept, act: Callable[[Orders], TemplateStanding], *, as_json: bool) -> int:
+def _manage(
+    place: OfflineStore, act: Callable[[Orders], TemplateStanding], *, as_json: bool
+) -> int:
     """Have one act about a template done, by the gate that holds the store or on the store."""
     held, by_gate = managed(place, act)
     status = "withdrawn" if held.withdrawn else "here"

@@ -19,8 +19,8 @@ from authguard_r.anchoring.sealing import KeyRing
 from authguard_r.anchoring.sealing.wraps import Wrapped
 from authguard_r.audit.closed import Closed, closed_of
 from authguard_r.audit.record import BOX, WRAP, Record, Sealed, read_record, read_sealed
-from authguard_r.audit.sealed_envelopes import SEALING, Box
-from authguard_r.audit.verify import Row, Verification
+from authguard_r.audit.sealed_envelopes import SEALING, SealedEnvelope
+from authguard_r.audit.verify import LogRow, Verification
 from authguard_r.cli.signing_key import passphrase_of
 from authguard_r.core.encoding import encode_fast
 from authguard_r.core.errors import AuthenticityError, MalformedError
@@ -35,7 +35,7 @@ ReaderOption = Annotated[
 ]
 
 
-class Opening:
+class LogOpening:
     """What can be told of a log, row by row from its beginning on.
 
     Args:
@@ -50,11 +50,11 @@ class Opening:
         #: The classes of which keys were wrapped for this reader, so far.
         self.has: set[str] = set()
 
-    def rows(self, rows: Iterable[Row]) -> Iterator[Row]:
+    def rows(self, rows: Iterable[LogRow]) -> Iterator[LogRow]:
         """Yield each row as `opened` returns it."""
         return map(self.opened, rows)
 
-    def opened(self, row: Row) -> Row:
+    def opened(self, row: LogRow) -> LogRow:
         """Return a row as it would be had nothing been sealed, as far as the key goes.
 
         Raises:
@@ -76,7 +76,7 @@ class Opening:
         lost = self._lost.get(record.link.mid, frozenset[str]())
         return closed_of(record, values, has=self.has, lost=lost)
 
-    def _learn(self, row: Row) -> None:
+    def _learn(self, row: LogRow) -> None:
         """Note whose keys a record tells, and which were destroyed."""
         where = f"record {row.seq}"
         record, sealed = read_record(row.record, where=where), read_sealed(row.sealed, where=where)
@@ -92,13 +92,13 @@ class Opening:
                 if any(wrapped.reader == self.key.public.name for wrapped in wraps):
                     self.has.add(data)
 
-    def _without_lost(self, row: Row) -> Row:
+    def _without_lost(self, row: LogRow) -> LogRow:
         """Return the row without boxes whose keys nobody has any more."""
         where = f"record {row.seq}"
         left: dict[str, Sealed] = {}
         for name, one in read_sealed(row.sealed, where=where).items():
             if name.startswith(BOX):
-                keys = _converted(one, Box, f"{where}: {name}").keys
+                keys = _converted(one, SealedEnvelope, f"{where}: {name}").keys
                 classes = name.removeprefix(BOX).split("+")
                 if not self._gone.isdisjoint((keys, data) for data in classes):
                     continue
@@ -106,14 +106,14 @@ class Opening:
         return replace(row, sealed=encode_fast(left))
 
 
-class Held:
+class EnvelopeCheck:
     """Holds every box that a key opens to what its record commits to, behind the verifier.
 
     Args:
         opening: of the reader.
     """
 
-    def __init__(self, opening: Opening) -> None:
+    def __init__(self, opening: LogOpening) -> None:
         self.opening = opening
         self.opened = 0
         self.closed = 0
@@ -124,7 +124,7 @@ class Held:
         """True with a reader's key."""
         return self.opening.key is not None
 
-    def rows(self, rows: Iterable[Row]) -> Iterator[Row]:
+    def rows(self, rows: Iterable[LogRow]) -> Iterator[LogRow]:
         """Yield the rows as they are stored; each is opened once the next one is asked for."""
         for row in rows:
             yield row
@@ -157,7 +157,7 @@ class Held:
         fits = f"{self.opened} boxes opened, each value as it was committed to"
         yield f"  {', '.join(sorted(self.opening.has))}: {fits}; {self.closed} boxes stay closed"
 
-    def _take(self, row: Row) -> None:
+    def _take(self, row: LogRow) -> None:
         try:
             told = self.opening.opened(row)
         except (AuthenticityError, MalformedError) as error:
@@ -170,7 +170,7 @@ class Held:
             self.closed += len(_boxes(told))
 
 
-def opening_of(reader: Path | None, passphrase_file: Path | None) -> Opening:
+def opening_of(reader: Path | None, passphrase_file: Path | None) -> LogOpening:
     """Return what a command opens a log with.
 
     Raises:
@@ -179,17 +179,17 @@ def opening_of(reader: Path | None, passphrase_file: Path | None) -> Opening:
         AuthenticityError: the passphrase is wrong, or it holds no key of a reader.
     """
     if reader is not None:
-        return Opening(read_reader(reader, passphrase_of(passphrase_file)))
+        return LogOpening(read_reader(reader, passphrase_of(passphrase_file)))
     if passphrase_file is not None:
         raise typer.BadParameter("it opens no key without --reader", param_hint="--passphrase-file")
-    return Opening()
+    return LogOpening()
 
 
 def _is_wrap(name: str) -> bool:
     return name.startswith(WRAP)
 
 
-def _boxes(row: Row) -> list[str]:
+def _boxes(row: LogRow) -> list[str]:
     """Return the names of the boxes beside a record."""
     return [n for n in read_sealed(row.sealed, where=f"record {row.seq}") if n.startswith(BOX)]
 

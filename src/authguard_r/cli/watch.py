@@ -19,7 +19,7 @@ from authguard_r.cli.gateway import (
     GATE_SOCKET,
     GateOption,
     ProofOption,
-    Reading,
+    ReadingRole,
     RoleOption,
     socket_in,
 )
@@ -39,7 +39,7 @@ _SHOWN, _EVERY_S = 15, 1.0
 
 def watch_command(
     gate: GateOption = None,
-    role: RoleOption = Reading.OPERATOR,
+    role: RoleOption = ReadingRole.OPERATOR,
     trust: ProofOption = None,
     jsonl: Annotated[bool, typer.Option("--jsonl", help="One event a line, as JSON.")] = False,
     count: Annotated[
@@ -64,7 +64,7 @@ def watch_command(
 
 async def _watch(
     path: Path,
-    role: Reading,
+    role: ReadingRole,
     trust: Path | None,
     count: int | None,
     take: Callable[[dict[str, Any]], None] | None,

@@ -145,10 +145,10 @@ def serve_command(
     """
     from authguard_r.integrations.http_listener.access import listening
     from authguard_r.wire.json_log import Lines
-    from authguard_r.witness.server import LIMITS, Ready, run_witness
+    from authguard_r.witness.server import LIMITS, WitnessReady, run_witness
     from authguard_r.witness.service import open_witness
 
-    def say(told: Ready) -> None:
+    def say(told: WitnessReady) -> None:
         line = f"{told.name}: witnesses {told.logs} logs at {told.url} (pid {told.pid})"
         emit(msgspec.to_builtins(told), [line], as_json=as_json)
 

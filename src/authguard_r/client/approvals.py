@@ -14,7 +14,7 @@ import msgspec
 from msgspec import Struct
 
 from authguard_r.core.action import ActionScope
-from authguard_r.core.approval import Approval, Verdict
+from authguard_r.core.approval import Approval, ApprovalVerdict
 from authguard_r.core.checks.approval import Situation
 from authguard_r.core.encoding import Tag, decode, digest
 from authguard_r.core.errors import AuthenticityError, MalformedError, RefusedError
@@ -22,10 +22,10 @@ from authguard_r.core.principals import Signer
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
 from authguard_r.wire.approval_request import Question, Questions
-from authguard_r.wire.messages import Act, Approvals, Order
+from authguard_r.wire.messages import Approvals, Order, OrderKind
 
 
-class Shown(Struct, frozen=True, kw_only=True):
+class ShownRequest(Struct, frozen=True, kw_only=True):
     """What an answer binds, decoded from the very bytes. Made by `shown` only.
 
     Args:
@@ -65,7 +65,7 @@ def the_one(said: Questions, counter: int) -> Question:
     return said.requests[0]
 
 
-def shown(question: Question) -> Shown:
+def shown(question: Question) -> ShownRequest:
     """Return what the request's digests are of, once they are of these bytes.
 
     Raises:
@@ -97,10 +97,12 @@ def shown(question: Question) -> Shown:
             reason=Reason.SIGNATURE_INVALID,
             where=f"request {question.counter}",
         )
-    return Shown(scope=decode(scope, ActionScope, where="scope"), situation=opened)
+    return ShownRequest(scope=decode(scope, ActionScope, where="scope"), situation=opened)
 
 
-def signed_answer(question: Question, verdict: Verdict, signer: Signer, *, why: str = "") -> Order:
+def signed_answer(
+    question: Question, verdict: ApprovalVerdict, signer: Signer, *, why: str = ""
+) -> Order:
     """Return the order that hands in a signed answer to a request.
 
     Args:
@@ -113,7 +115,7 @@ def signed_answer(question: Question, verdict: Verdict, signer: Signer, *, why: 
         RefusedError: a denial without a reason, or nothing can be shown.
         AuthGuardError: as `shown`.
     """
-    if verdict is Verdict.DENY and not why.strip():
+    if verdict is ApprovalVerdict.DENY and not why.strip():
         raise RefusedError(
             "whoever denies says why: the next person and the log need it",
             reason=Reason.FIELD_MISSING,
@@ -132,4 +134,4 @@ def signed_answer(question: Question, verdict: Verdict, signer: Signer, *, why: 
         expires_ms=question.expires_ms,
         verdict=verdict,
     )
-    return Order(act=Act.APPROVE, token=sign_object(approval, Tag.APPROVAL, signer), why=why)
+    return Order(act=OrderKind.APPROVE, token=sign_object(approval, Tag.APPROVAL, signer), why=why)

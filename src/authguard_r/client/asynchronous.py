@@ -18,17 +18,16 @@ import msgspec
 
 from authguard_r.client.approvals import asking, read_questions, signed_answer, the_one
 from authguard_r.client.handshake import GateVerifier, Greeting, Speaks
-from authguard_r.client.line import Line
-from authguard_r.client.session import OnEvent, Sent, answer_of, done_of, unreachable
+from authguard_r.client.line import SessionLine
+from authguard_r.client.session import OnEvent, SentRequest, answer_of, done_of, unreachable
 from authguard_r.client.start import TIMEOUT_MS, begin, fresh, late, reach, unanswered
 from authguard_r.client.stopping import stop_of, stopped_of
-from authguard_r.core.approval import Verdict
+from authguard_r.core.approval import ApprovalVerdict
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.principals import Signer
 from authguard_r.wire.approval_request import Question
 from authguard_r.wire.frames import Frame
 from authguard_r.wire.messages import (
-    Act,
     Attest,
     ClientRole,
     Evaluate,
@@ -37,6 +36,7 @@ from authguard_r.wire.messages import (
     Nothing,
     Observe,
     Order,
+    OrderKind,
     Propose,
     Records,
     Stop,
@@ -57,7 +57,7 @@ class AsyncGateClient:
         timeout_ms: longest time to wait for an answer.
     """
 
-    def __init__(self, line: Line, *, path: Path, timeout_ms: int) -> None:
+    def __init__(self, line: SessionLine, *, path: Path, timeout_ms: int) -> None:
         self._line = line
         self._path = path
         self._session = line.session
@@ -89,7 +89,7 @@ class AsyncGateClient:
             speaks=speaks,
         )
         wire = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        made = cls(Line(begin(greeting), wire), path=path, timeout_ms=timeout_ms)
+        made = cls(SessionLine(begin(greeting), wire), path=path, timeout_ms=timeout_ms)
         try:
             async with asyncio.timeout(timeout_ms / 1_000):
                 await made._open(wire)
@@ -157,19 +157,19 @@ class AsyncGateClient:
 
     async def activate(self, token: bytes, *, confirmation: bytes | None = None) -> dict[str, Any]:
         """Take in a signed mission and make it active; return its standing."""
-        return await self._order(Act.ACTIVATE, token, confirmation)
+        return await self._order(OrderKind.ACTIVATE, token, confirmation)
 
     async def issue(self, token: bytes, *, confirmation: bytes | None = None) -> dict[str, Any]:
         """Hand in a signed mission without activating it; return its standing."""
-        return await self._order(Act.ISSUE, token, confirmation)
+        return await self._order(OrderKind.ISSUE, token, confirmation)
 
     async def command(self, token: bytes) -> dict[str, Any]:
         """Carry out a signed command; return the mission's standing."""
-        return await self._order(Act.COMMAND, token)
+        return await self._order(OrderKind.COMMAND, token)
 
     async def select(self, token: bytes) -> dict[str, Any]:
         """Take in a signed choice of one row; return the mission's standing."""
-        return await self._order(Act.SELECT, token)
+        return await self._order(OrderKind.SELECT, token)
 
     async def approve(self, token: bytes, *, why: str = "") -> dict[str, Any]:
         """Hand in a signed answer to an approval request; return what it is worth.
@@ -178,7 +178,7 @@ class AsyncGateClient:
             token: the signed answer.
             why: the approver's words, for the log; no planner hears of them.
         """
-        return await self.ask(Kind.ORDER, Order(act=Act.APPROVE, token=token, why=why))
+        return await self.ask(Kind.ORDER, Order(act=OrderKind.APPROVE, token=token, why=why))
 
     async def approvals(self) -> tuple[Question, ...]:
         """Return every open approval request of the active mission."""
@@ -193,7 +193,7 @@ class AsyncGateClient:
         return the_one(read_questions(await self.ask(Kind.APPROVALS, asking(counter))), counter)
 
     async def answer(
-        self, question: Question, verdict: Verdict, signer: Signer, *, why: str = ""
+        self, question: Question, verdict: ApprovalVerdict, signer: Signer, *, why: str = ""
     ) -> dict[str, Any]:
         """Sign an answer to a request as it was shown and hand it in; return what it is worth.
 
@@ -210,19 +210,19 @@ class AsyncGateClient:
 
     async def template(self, token: bytes, *, confirmation: bytes | None = None) -> dict[str, Any]:
         """Take in a signed mission template, or withdraw one; return its standing."""
-        return await self._order(Act.TEMPLATE, token, confirmation)
+        return await self._order(OrderKind.TEMPLATE, token, confirmation)
 
     async def revocations(self, signed: bytes) -> dict[str, Any]:
         """Hand in an authority's next revocation list; return what was taken in."""
-        return await self._order(Act.REVOCATIONS, signed)
+        return await self._order(OrderKind.REVOCATIONS, signed)
 
     async def accept_store(self, token: bytes) -> dict[str, Any]:
         """Hand in a signed order to go on with a store that was put back; return what became."""
-        return await self._order(Act.ACCEPT_STORE, token)
+        return await self._order(OrderKind.ACCEPT_STORE, token)
 
     async def shred(self, token: bytes) -> dict[str, Any]:
         """Hand in a signed order to destroy sealed fields of the log; return what has begun."""
-        return await self._order(Act.SHRED, token)
+        return await self._order(OrderKind.SHRED, token)
 
     async def evaluate(self, plan: bytes, *, dialect: str = "auto") -> dict[str, Any]:
         """Return what the gate would decide; nothing is used, recorded or released."""
@@ -340,12 +340,14 @@ class AsyncGateClient:
         self._line.hang_up()
         wire.close()
 
-    async def _order(self, act: Act, token: bytes, said: bytes | None = None) -> dict[str, Any]:
+    async def _order(
+        self, act: OrderKind, token: bytes, said: bytes | None = None
+    ) -> dict[str, Any]:
         order = Order(act=act, token=token, confirmation=said)
         return done_of(act, await self.ask(Kind.ORDER, order))
 
     async def _final(
-        self, sent: Sent, on_event: OnEvent | None, timeout_ms: int | None
+        self, sent: SentRequest, on_event: OnEvent | None, timeout_ms: int | None
     ) -> dict[str, Any]:
         """Send a request and return its answer; the events before it go to `on_event`."""
         loop = asyncio.get_running_loop()

@@ -15,7 +15,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from authguard_r.client.handshake import GateVerifier
-from authguard_r.client.link import Caller, Log, mono_ms
+from authguard_r.client.link import PersistentConnection, ProcessLog, mono_ms
 from authguard_r.client.proof import Proven
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import AuthGuardError
@@ -36,7 +36,7 @@ BOUNDS = {Kind.REPLY: 1 << 16, Kind.ERROR: 1 << 16, Kind.EVENT: 1 << 16}
 _IDS = 1 << 32
 
 
-class Seen(Struct, frozen=True):
+class Measurement(Struct, frozen=True):
     """What was measured last, signed by nobody yet.
 
     Args:
@@ -73,7 +73,7 @@ class Attester:
         """Take a fence from the gate: what is measured from now on carries its number."""
         self._fence, self._fenced_ms = number, now_ms
 
-    def due(self, seen: Seen | None, now_ms: int) -> bytes | None:
+    def due(self, seen: Measurement | None, now_ms: int) -> bytes | None:
         """Return the next snapshot's frame.
 
         Args:
@@ -110,7 +110,7 @@ class Attester:
         self._fence = 0
 
 
-def since(seen: Seen, fence: int, fenced_ms: int) -> Snapshot:
+def since(seen: Measurement, fence: int, fenced_ms: int) -> Snapshot:
     """Return the snapshot with the fence on every value that was measured after it came.
 
     One clock tells: the machine's monotonic one, on which the sensors say when they measured. A
@@ -165,9 +165,9 @@ class AttestingEnd:
         run: Path,
         *,
         trust: Callable[[], GateVerifier],
-        look: Callable[[int], Seen | None],
+        look: Callable[[int], Measurement | None],
         ready: Callable[[], None],
-        log: Log,
+        log: ProcessLog,
     ) -> None:
         self._attester = attester
         self._look = look
@@ -175,7 +175,7 @@ class AttestingEnd:
         self._ready: Callable[[], None] | None = ready
         self._is_connected = False
         self._refused: AuthGuardError | None = None
-        self._gate = Caller(
+        self._gate = PersistentConnection(
             run / GATE,
             role=ClientRole.ESTIMATOR,
             client=Identifier(f"estimator-{robot}"[:64]),

@@ -17,15 +17,9 @@ from typing import Any, Self
 from authguard_r.client.approvals import asking, read_questions, signed_answer, the_one
 from authguard_r.client.blocking_stop import OwnLine, stop_now
 from authguard_r.client.handshake import GateVerifier, Greeting
-from authguard_r.client.session import (
-    Sent,
-    Session,
-    answer_of,
-    done_of,
-    unreachable,
-)
+from authguard_r.client.session import ClientSession, SentRequest, answer_of, done_of, unreachable
 from authguard_r.client.start import AGAIN_S, CHUNK, TIMEOUT_MS, begin, fresh, late, unanswered
-from authguard_r.core.approval import Verdict
+from authguard_r.core.approval import ApprovalVerdict
 from authguard_r.core.errors import RefusedError
 from authguard_r.core.identifiers import Digest, RobotId
 from authguard_r.core.principals import Signer
@@ -33,7 +27,6 @@ from authguard_r.core.reasons import Reason
 from authguard_r.wire.approval_request import Question
 from authguard_r.wire.frames import Frame
 from authguard_r.wire.messages import (
-    Act,
     Attest,
     ClientRole,
     Close,
@@ -44,6 +37,7 @@ from authguard_r.wire.messages import (
     Nothing,
     Observe,
     Order,
+    OrderKind,
     Propose,
     Records,
     Sample,
@@ -65,7 +59,7 @@ class GateClient:
     """
 
     def __init__(
-        self, line: socket.socket, session: Session, *, path: Path, timeout_ms: int
+        self, line: socket.socket, session: ClientSession, *, path: Path, timeout_ms: int
     ) -> None:
         self._line = line
         self._path = path
@@ -214,19 +208,19 @@ class GateClient:
 
     def activate(self, token: bytes, *, confirmation: bytes | None = None) -> dict[str, Any]:
         """Take in a signed mission and make it active; return its standing."""
-        return self._order(Act.ACTIVATE, token, confirmation)
+        return self._order(OrderKind.ACTIVATE, token, confirmation)
 
     def issue(self, token: bytes, *, confirmation: bytes | None = None) -> dict[str, Any]:
         """Hand in a signed mission without activating it; return its standing."""
-        return self._order(Act.ISSUE, token, confirmation)
+        return self._order(OrderKind.ISSUE, token, confirmation)
 
     def command(self, token: bytes) -> dict[str, Any]:
         """Carry out a signed command; return the mission's standing."""
-        return self._order(Act.COMMAND, token)
+        return self._order(OrderKind.COMMAND, token)
 
     def select(self, token: bytes) -> dict[str, Any]:
         """Take in a signed choice of one row; return the mission's standing."""
-        return self._order(Act.SELECT, token)
+        return self._order(OrderKind.SELECT, token)
 
     def approve(self, token: bytes, *, why: str = "") -> dict[str, Any]:
         """Hand in a signed answer to an approval request; return what it is worth.
@@ -235,7 +229,7 @@ class GateClient:
             token: the signed answer.
             why: the approver's words, for the log; no planner hears of them.
         """
-        return self._quick(Kind.ORDER, Order(act=Act.APPROVE, token=token, why=why))
+        return self._quick(Kind.ORDER, Order(act=OrderKind.APPROVE, token=token, why=why))
 
     def approvals(self) -> tuple[Question, ...]:
         """Return every open approval request of the active mission."""
@@ -250,7 +244,7 @@ class GateClient:
         return the_one(read_questions(self._quick(Kind.APPROVALS, asking(counter))), counter)
 
     def answer(
-        self, question: Question, verdict: Verdict, signer: Signer, *, why: str = ""
+        self, question: Question, verdict: ApprovalVerdict, signer: Signer, *, why: str = ""
     ) -> dict[str, Any]:
         """Sign an answer to a request as it was shown and hand it in; return what it is worth.
 
@@ -267,19 +261,19 @@ class GateClient:
 
     def template(self, token: bytes, *, confirmation: bytes | None = None) -> dict[str, Any]:
         """Take in a signed mission template, or withdraw one; return its standing."""
-        return self._order(Act.TEMPLATE, token, confirmation)
+        return self._order(OrderKind.TEMPLATE, token, confirmation)
 
     def revocations(self, signed: bytes) -> dict[str, Any]:
         """Hand in an authority's next revocation list; return what was taken in."""
-        return self._order(Act.REVOCATIONS, signed)
+        return self._order(OrderKind.REVOCATIONS, signed)
 
     def accept_store(self, token: bytes) -> dict[str, Any]:
         """Hand in a signed order to go on with a store that was put back; return what became."""
-        return self._order(Act.ACCEPT_STORE, token)
+        return self._order(OrderKind.ACCEPT_STORE, token)
 
     def shred(self, token: bytes) -> dict[str, Any]:
         """Hand in a signed order to destroy sealed fields of the log; return what has begun."""
-        return self._order(Act.SHRED, token)
+        return self._order(OrderKind.SHRED, token)
 
     def evaluate(self, plan: bytes, *, dialect: str = "auto") -> dict[str, Any]:
         """Return what the gate would decide; nothing is used, recorded or released."""
@@ -370,7 +364,9 @@ class GateClient:
             else:
                 return
 
-    def _order(self, act: Act, token: bytes, confirmation: bytes | None = None) -> dict[str, Any]:
+    def _order(
+        self, act: OrderKind, token: bytes, confirmation: bytes | None = None
+    ) -> dict[str, Any]:
         order = Order(act=act, token=token, confirmation=confirmation)
         return done_of(act, self._quick(Kind.ORDER, order))
 
@@ -389,7 +385,7 @@ class GateClient:
 
     def _final(
         self,
-        sent: Sent,
+        sent: SentRequest,
         on_event: Callable[[dict[str, Any]], object] | None,
         timeout_ms: int | None,
     ) -> dict[str, Any]:

@@ -16,9 +16,9 @@ from typing import Any
 
 import msgspec
 
-from authguard_r.client.session import Session, answer_of, unreachable
+from authguard_r.client.session import ClientSession, answer_of, unreachable
 from authguard_r.client.start import CHUNK, late
-from authguard_r.client.stopping import Reached, StopEverywhere, stop_of, stopped_of
+from authguard_r.client.stopping import StopEverywhere, StopReply, stop_of, stopped_of
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.wire.messages import Kind, Stop, Stopped
 
@@ -31,7 +31,7 @@ class OwnLine:
         session: what its bytes mean.
     """
 
-    def __init__(self, line: socket.socket, session: Session) -> None:
+    def __init__(self, line: socket.socket, session: ClientSession) -> None:
         self._line = line
         self.session = session
         self._asked: int | None = None
@@ -147,7 +147,7 @@ def stop_now(path: Path, own: OwnLine, *, why: str, within_ms: int) -> dict[str,
     return said
 
 
-def _confirmed(stop: StopEverywhere, within_ms: int) -> Reached | None:
+def _confirmed(stop: StopEverywhere, within_ms: int) -> StopReply | None:
     """Run a stop in an event loop of its own; the caller's, if one runs here, waits too.
 
     Returns:
@@ -178,7 +178,7 @@ def _confirmed(stop: StopEverywhere, within_ms: int) -> Reached | None:
         loop.close()
 
 
-def _finished(loop: asyncio.AbstractEventLoop, stop: StopEverywhere, within_ms: int) -> Reached:
+def _finished(loop: asyncio.AbstractEventLoop, stop: StopEverywhere, within_ms: int) -> StopReply:
     """Run a stop to its end; whoever interrupts it ends it too."""
     task = loop.create_task(stop.confirmed(within_ms=within_ms))
     try:

@@ -19,7 +19,7 @@ from authguard_r.client.proof import Proven
 from authguard_r.core.action import Action
 from authguard_r.core.errors import ControllerError, MalformedError
 from authguard_r.core.identifiers import Digest, RobotId
-from authguard_r.core.ports import Flight
+from authguard_r.core.ports import GoalHandle
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome
 from authguard_r.wire.frames import Frame, read_body
@@ -47,15 +47,15 @@ KEPT = 16
 
 
 @runtime_checkable
-class Telling(Protocol):
+class ReportingHandle(Protocol):
     """A flight that has something to tell the planner when it has ended."""
 
-    def told(self) -> Told | None:
+    def told(self) -> ExecutionNews | None:
         """Return it; None: nothing."""
         ...
 
 
-class Told(Struct, frozen=True):
+class ExecutionNews(Struct, frozen=True):
     """What an action brought to light.
 
     Args:
@@ -97,7 +97,7 @@ class Body(Protocol):
         """Return True if it can begin this beside whatever runs, of which there is something."""
         ...
 
-    def begin(self, action: Action, ticket: Digest) -> Flight:
+    def begin(self, action: Action, ticket: Digest) -> GoalHandle:
         """Begin an action.
 
         Args:
@@ -130,17 +130,17 @@ class Body(Protocol):
         ...
 
 
-class Channel(StrEnum):
+class MessageSource(StrEnum):
     """Where a message came from."""
 
     GATE = "gate"
     STOP = "stop"
 
 
-class Sent(Struct, frozen=True):
+class OutgoingMessage(Struct, frozen=True):
     """A message on its way to a server."""
 
-    channel: Channel
+    channel: MessageSource
     kind: Kind
     id: int
     body: Begun | Ended | Stood | Result
@@ -159,7 +159,7 @@ class _Run(Struct, frozen=True, kw_only=True):
     """
 
     order: Dispatch
-    flight: Flight
+    flight: GoalHandle
     begun_ms: int
     renewed_ms: int
     sampled_ms: int | None = None
@@ -170,7 +170,7 @@ class _Late(Struct, frozen=True):
     """A message that goes out at a time."""
 
     due_ms: int
-    sent: Sent
+    sent: OutgoingMessage
 
 
 class ControllerDesk:
@@ -190,13 +190,15 @@ class ControllerDesk:
         self.life = life
         self.stops = 0
         self._now_ms = now_ms
-        self._proven: set[Channel] = set()
+        self._proven: set[MessageSource] = set()
         self._runs: dict[Digest, _Run] = {}
         self._ended: dict[Digest, Ended] = {}  # the last of them, in order
         self._is_stopping = False
-        self._halts: dict[tuple[Channel, int], None] = {}  # in order; a repeat is the same one
+        self._halts: dict[
+            tuple[MessageSource, int], None
+        ] = {}  # in order; a repeat is the same one
         self._late: list[_Late] = []
-        self._acts: dict[Kind, Callable[[Channel, Frame], None]] = {
+        self._acts: dict[Kind, Callable[[MessageSource, Frame], None]] = {
             Kind.DISPATCH: self._dispatch,
             Kind.RENEW: self._renew,
             Kind.HALT: self._halt,
@@ -209,11 +211,13 @@ class ControllerDesk:
         """True when no action runs and nothing brakes."""
         return not self._runs and not self._is_stopping
 
-    def hears(self, channel: Channel) -> bool:
+    def hears(self, channel: MessageSource) -> bool:
         """Return True while a server that proved itself is connected there."""
         return channel in self._proven
 
-    def opened(self, channel: Channel, proven: Proven, now_ms: int) -> tuple[Sent, ...]:
+    def opened(
+        self, channel: MessageSource, proven: Proven, now_ms: int
+    ) -> tuple[OutgoingMessage, ...]:
         """Listen to a server from now on.
 
         A gate is told at once how the last actions ended, known to it or not, and how many stops
@@ -228,23 +232,25 @@ class ControllerDesk:
             raise RuntimeError("a proof for another robot was let through")
         self._advance(now_ms)
         self._proven.add(channel)
-        if channel is Channel.GATE:
+        if channel is MessageSource.GATE:
             for ended in self._ended.values():
                 self._say(channel, Kind.ENDED, ended)
             if self.stands:
                 self._say(channel, Kind.STOOD, self._stood())
         return self._take()
 
-    def closed(self, channel: Channel, now_ms: int) -> tuple[Sent, ...]:
+    def closed(self, channel: MessageSource, now_ms: int) -> tuple[OutgoingMessage, ...]:
         """Note that a connection is lost; without its gate the robot does not go on."""
         self._advance(now_ms)
         self._proven.discard(channel)
         self._halts = {asked: None for asked in self._halts if asked[0] is not channel}
-        if channel is Channel.GATE and self._runs and not self._is_stopping:
+        if channel is MessageSource.GATE and self._runs and not self._is_stopping:
             self._stop(RENEWAL_LOST)
         return self._take()
 
-    def handle(self, channel: Channel, frame: Frame, now_ms: int) -> tuple[Sent, ...]:
+    def handle(
+        self, channel: MessageSource, frame: Frame, now_ms: int
+    ) -> tuple[OutgoingMessage, ...]:
         """Obey one message, if it is of a kind that this connection may send.
 
         Args:
@@ -255,14 +261,14 @@ class ControllerDesk:
         Raises:
             MalformedError: it is not what its kind says; nothing was done.
         """
-        if channel in self._proven and (channel is Channel.GATE or frame.kind is Kind.HALT):
+        if channel in self._proven and (channel is MessageSource.GATE or frame.kind is Kind.HALT):
             act = self._acts.get(frame.kind)
             if act is not None:
                 self._advance(now_ms)  # the silence before a message is judged before the message
                 act(channel, frame)
         return self._take()
 
-    def tick(self, now_ms: int) -> tuple[Sent, ...]:
+    def tick(self, now_ms: int) -> tuple[OutgoingMessage, ...]:
         """Let the world go on to now; what nobody renewed is stopped."""
         self._advance(now_ms)
         self._settle()  # what ended in this very millisecond, too
@@ -270,7 +276,7 @@ class ControllerDesk:
 
     # messages
 
-    def _dispatch(self, channel: Channel, frame: Frame) -> None:
+    def _dispatch(self, channel: MessageSource, frame: Frame) -> None:
         order = read_body(frame.body, Dispatch)
         if order.ticket in self._ended:
             self._say(channel, Kind.ENDED, self._ended[order.ticket], frame.id)  # never twice
@@ -301,12 +307,12 @@ class ControllerDesk:
         self._runs[order.ticket] = _Run(order=order, flight=flight, begun_ms=now, renewed_ms=now)
         return ""
 
-    def _renew(self, _channel: Channel, frame: Frame) -> None:
+    def _renew(self, _channel: MessageSource, frame: Frame) -> None:
         ticket = read_body(frame.body, Renew).ticket
         if ticket in self._runs:
             self._runs[ticket] = replace(self._runs[ticket], renewed_ms=self._now_ms)
 
-    def _forward(self, _channel: Channel, frame: Frame) -> None:
+    def _forward(self, _channel: MessageSource, frame: Frame) -> None:
         sample = read_body(frame.body, Forward)
         if not sample.params.keys() <= self.body.sampled:
             raise MalformedError("expected a velocity", where="forward.params")
@@ -315,14 +321,14 @@ class ControllerDesk:
             self.body.steer(sample.ticket, sample.params)
             self._runs[sample.ticket] = replace(run, sampled_ms=self._now_ms)
 
-    def _close(self, _channel: Channel, frame: Frame) -> None:
+    def _close(self, _channel: MessageSource, frame: Frame) -> None:
         ticket = read_body(frame.body, Close).ticket
         run = self._runs.get(ticket)
         if run is not None and self.body.streams(run.order.action):
             self.body.close(ticket)
             self._settle()
 
-    def _halt(self, channel: Channel, frame: Frame) -> None:
+    def _halt(self, channel: MessageSource, frame: Frame) -> None:
         read_body(frame.body, Halt)
         if self.body.obeys:
             self._halts[channel, frame.id] = None
@@ -391,17 +397,17 @@ class ControllerDesk:
         self._ended[ended.ticket] = ended
         if len(self._ended) > KEPT:
             del self._ended[next(iter(self._ended))]
-        told = run.flight.told() if isinstance(run.flight, Telling) else None
+        told = run.flight.told() if isinstance(run.flight, ReportingHandle) else None
         if told is not None:
             result = Result(ticket=ended.ticket, content=told.content, texts=told.texts)
-            self._say(Channel.GATE, Kind.RESULT, result)
-        self._say(Channel.GATE, Kind.ENDED, ended)
+            self._say(MessageSource.GATE, Kind.RESULT, result)
+        self._say(MessageSource.GATE, Kind.ENDED, ended)
 
     def _tell_stood(self) -> None:
         """Answer every `HALT`, and tell the gate of a stop that it did not ask for."""
         asked = tuple(self._halts)
-        if not any(channel is Channel.GATE for channel, _ in asked):
-            asked = (*asked, (Channel.GATE, 0))
+        if not any(channel is MessageSource.GATE for channel, _ in asked):
+            asked = (*asked, (MessageSource.GATE, 0))
         for channel, number in asked:
             self._say(channel, Kind.STOOD, self._stood(), number)
         self._halts = {}
@@ -413,16 +419,16 @@ class ControllerDesk:
 
     def _say(
         self,
-        channel: Channel,
+        channel: MessageSource,
         kind: Kind,
         body: Begun | Ended | Stood | Result,
         number: int = 0,
     ) -> None:
         if channel in self._proven:
             due = self._now_ms + self.body.late_ms
-            self._late.append(_Late(due, Sent(channel, kind, number, body)))
+            self._late.append(_Late(due, OutgoingMessage(channel, kind, number, body)))
 
-    def _take(self) -> tuple[Sent, ...]:
+    def _take(self) -> tuple[OutgoingMessage, ...]:
         """Return what is due, in order, for the servers that are still there."""
         due = [late.sent for late in self._late if late.due_ms <= self._now_ms]
         self._late = [late for late in self._late if late.due_ms > self._now_ms]

@@ -11,9 +11,9 @@ import secrets
 from collections.abc import Callable
 from pathlib import Path
 
-from authguard_r.client.controller import Body, Channel, ControllerDesk, Sent
+from authguard_r.client.controller import Body, ControllerDesk, MessageSource, OutgoingMessage
 from authguard_r.client.handshake import GateVerifier, Speaks
-from authguard_r.client.link import Caller, Log, mono_ms
+from authguard_r.client.link import PersistentConnection, ProcessLog, mono_ms
 from authguard_r.client.proof import Proven
 from authguard_r.core.identifiers import MAX_INTEGER, Identifier
 from authguard_r.wire.frames import Frame, frame
@@ -21,7 +21,7 @@ from authguard_r.wire.messages import ClientRole, Kind
 
 #: Time between two looks at the body, in seconds.
 TICK_S = 0.01
-SOCKETS = {Channel.GATE: "gate.sock", Channel.STOP: "stop.sock"}
+SOCKETS = {MessageSource.GATE: "gate.sock", MessageSource.STOP: "stop.sock"}
 #: Longest body of what a gate may send to a controller, in bytes.
 BOUNDS = {
     Kind.DISPATCH: 1 << 16,
@@ -54,7 +54,7 @@ class Driver:
         run: Path,
         *,
         trust: Callable[[], GateVerifier],
-        log: Log,
+        log: ProcessLog,
         ready: Callable[[], None],
         speaks: Speaks | None = None,
     ) -> None:
@@ -63,7 +63,7 @@ class Driver:
         self.desk = ControllerDesk(body, life=life, now_ms=mono_ms())
         self._ready: Callable[[], None] | None = ready
         self._callers = {
-            channel: Caller(
+            channel: PersistentConnection(
                 run / name,
                 role=ClientRole.CONTROLLER,
                 client=Identifier(f"controller-{body.rid}"[:64]),
@@ -72,8 +72,8 @@ class Driver:
                 bounds=BOUNDS,
                 listener=_Ear(self, channel),
                 log=log,
-                allow_shadow=channel is Channel.STOP,  # a stop counts, whoever drives it
-                speaks=None if channel is Channel.STOP else speaks,  # the lane has no words
+                allow_shadow=channel is MessageSource.STOP,  # a stop counts, whoever drives it
+                speaks=None if channel is MessageSource.STOP else speaks,  # the lane has no words
             )
             for channel, name in SOCKETS.items()
         }
@@ -89,7 +89,7 @@ class Driver:
         """Look at the body now: something of it has ended."""
         self.send(self.desk.tick(mono_ms()))
 
-    def send(self, messages: tuple[Sent, ...]) -> None:
+    def send(self, messages: tuple[OutgoingMessage, ...]) -> None:
         """Send what the desk wants to be sent."""
         for sent in messages:
             self._callers[sent.channel].send(frame(sent.kind, sent.id, sent.body))
@@ -109,14 +109,14 @@ class Driver:
 class _Ear:
     """Brings what one connection says to the desk."""
 
-    def __init__(self, driver: Driver, channel: Channel) -> None:
+    def __init__(self, driver: Driver, channel: MessageSource) -> None:
         self._driver = driver
         self._channel = channel
 
     def opened(self, proven: Proven) -> None:
         driver = self._driver
         driver.send(driver.desk.opened(self._channel, proven, mono_ms()))
-        if self._channel is Channel.GATE:
+        if self._channel is MessageSource.GATE:
             driver.is_ready()
 
     def heard(self, item: Frame) -> None:

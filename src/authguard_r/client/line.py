@@ -10,11 +10,11 @@ import asyncio
 import socket
 from typing import cast
 
-from authguard_r.client.session import Session, unreachable
+from authguard_r.client.session import ClientSession, unreachable
 from authguard_r.client.start import CHUNK
 
 
-class Line(asyncio.Protocol):
+class SessionLine(asyncio.Protocol):
     """Feeds a session from a transport and wakes whoever waits for it.
 
     Args:
@@ -22,7 +22,7 @@ class Line(asyncio.Protocol):
         wire: the socket under the transport.
     """
 
-    def __init__(self, session: Session, wire: socket.socket) -> None:
+    def __init__(self, session: ClientSession, wire: socket.socket) -> None:
         self.session = session
         self._wire = wire
         self._changed = asyncio.Event()

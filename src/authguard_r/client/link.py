@@ -46,7 +46,7 @@ def wall_now() -> Now:
     return Now(time.time_ns() // 1_000_000, mono_ms())
 
 
-class Log:
+class ProcessLog:
     """One line of JSON on standard error for each thing that happens, not for each repeat of it."""
 
     def __init__(self) -> None:
@@ -74,7 +74,7 @@ class Log:
         )
 
 
-class Listener(Protocol):
+class ConnectionListener(Protocol):
     """Who a link brings its news to."""
 
     def opened(self, proven: Proven) -> None:
@@ -94,7 +94,7 @@ class Listener(Protocol):
         ...
 
 
-class Link(asyncio.Protocol):
+class ProvenConnection(asyncio.Protocol):
     """One connection to a server that must prove itself.
 
     Args:
@@ -105,7 +105,12 @@ class Link(asyncio.Protocol):
     """
 
     def __init__(
-        self, name: str, conversation: Conversation, *, listener: Listener, log: Log
+        self,
+        name: str,
+        conversation: Conversation,
+        *,
+        listener: ConnectionListener,
+        log: ProcessLog,
     ) -> None:
         self.over = asyncio.Event()
         self.decided = asyncio.Event()  # proved, or over
@@ -171,7 +176,7 @@ class Link(asyncio.Protocol):
             self.connection_lost(None)
 
 
-class Caller:
+class PersistentConnection:
     """Keeps one connection to a gate: tries again for ever, with a bounded pause.
 
     Args:
@@ -196,8 +201,8 @@ class Caller:
         robot: RobotId,
         trust: Callable[[], GateVerifier],
         bounds: dict[Kind, int],
-        listener: Listener,
-        log: Log,
+        listener: ConnectionListener,
+        log: ProcessLog,
         allow_shadow: bool = False,
         speaks: Speaks | None = None,
     ) -> None:
@@ -211,7 +216,7 @@ class Caller:
         self._bounds = bounds
         self._listener = listener
         self._log = log
-        self._link: Link | None = None
+        self._link: ProvenConnection | None = None
 
     def send(self, data: bytes) -> None:
         """Send on the connection that is there now, if one is."""
@@ -256,7 +261,7 @@ class Caller:
         self._link = None
         return link.is_proven
 
-    def _new_link(self) -> Link:
+    def _new_link(self) -> ProvenConnection:
         greeting = Greeting(
             role=self._role,
             client=self._client,
@@ -268,7 +273,9 @@ class Caller:
         conversation = Conversation(
             greeting, nonce=b64(os.urandom(32)), bounds=self._bounds, now=wall_now
         )
-        link = Link(self._path.name, conversation, listener=self._listener, log=self._log)
+        link = ProvenConnection(
+            self._path.name, conversation, listener=self._listener, log=self._log
+        )
         self._link = link
         return link
 

@@ -42,7 +42,7 @@ class GatePlace(Struct, frozen=True, kw_only=True):
     speaks: Speaks | None = None
 
 
-class KeptGate:
+class ReconnectingClient:
     """A client of a gate, in one role.
 
     Args:

@@ -10,8 +10,8 @@ import asyncio
 from collections.abc import Callable
 from pathlib import Path
 
-from authguard_r.client.attesting import Seen
-from authguard_r.client.link import FIRST_PAUSE_S, LONGEST_PAUSE_S, Log, mono_ms
+from authguard_r.client.attesting import Measurement
+from authguard_r.client.link import FIRST_PAUSE_S, LONGEST_PAUSE_S, ProcessLog, mono_ms
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.state import Snapshot
@@ -23,7 +23,7 @@ SENSORS = "sensors.sock"
 ID_MODULUS = 1 << 32
 
 
-def read_raw(item: Frame, now_ms: int, robot: RobotId) -> Seen:
+def read_raw(item: Frame, now_ms: int, robot: RobotId) -> Measurement:
     """Return what the sensors say, and when it was measured.
 
     What claims to be of the future counts as very old.
@@ -36,13 +36,13 @@ def read_raw(item: Frame, now_ms: int, robot: RobotId) -> Seen:
         raise MalformedError(
             f"expected values of `{robot}`, got `{snapshot.robot}`'s", where="robot"
         )
-    return Seen(snapshot, now_ms - (now_ms - item.id) % ID_MODULUS)
+    return Measurement(snapshot, now_ms - (now_ms - item.id) % ID_MODULUS)
 
 
 class _SensorLink(asyncio.Protocol):
     """The connection to the sensors; it says nothing."""
 
-    def __init__(self, take: Callable[[Frame, int], None], log: Log) -> None:
+    def __init__(self, take: Callable[[Frame, int], None], log: ProcessLog) -> None:
         self.over = asyncio.Event()
         self._take = take
         self._log = log
@@ -69,7 +69,7 @@ class _SensorLink(asyncio.Protocol):
             self._transport.abort()
 
 
-async def listen(run: Path, take: Callable[[Frame, int], None], log: Log) -> None:
+async def listen(run: Path, take: Callable[[Frame, int], None], log: ProcessLog) -> None:
     """Keep the connection to the sensors until this is canceled.
 
     Args:
@@ -87,7 +87,7 @@ async def listen(run: Path, take: Callable[[Frame, int], None], log: Log) -> Non
         pause = min(pause * 2, LONGEST_PAUSE_S)
 
 
-async def _is_open(link: _SensorLink, path: str, log: Log) -> bool:
+async def _is_open(link: _SensorLink, path: str, log: ProcessLog) -> bool:
     """Listen while the connection lasts; return whether there was one."""
     try:
         await asyncio.get_running_loop().create_unix_connection(lambda: link, path)

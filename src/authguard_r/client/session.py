@@ -30,11 +30,11 @@ from authguard_r.wire.messages import (
     BOUND,
     MAX_ANSWER,
     MAY,
-    Act,
     ClientRole,
     Fault,
     Fence,
     Kind,
+    OrderKind,
     Welcome,
 )
 
@@ -50,7 +50,7 @@ _TOLD = frozenset({ClientRole.CONTROLLER, ClientRole.GATE})
 _ANSWERS = {Kind.WELCOME: _SHORT, Kind.ERROR: _SHORT, Kind.REPLY: MAX_ANSWER}
 
 
-class Sent(Struct, frozen=True):
+class SentRequest(Struct, frozen=True):
     """A request on its way: its number, and the bytes to send."""
 
     number: int
@@ -73,7 +73,7 @@ class _Exchange:
         self.frames: deque[Frame] = deque()
 
 
-class Session:
+class ClientSession:
     """The client's side of one connection.
 
     `greeting` is what it says and demands first; `welcome` is the gate's, once it is believed;
@@ -104,7 +104,7 @@ class Session:
         """Return the first message's bytes."""
         return frame(Kind.HELLO, 0, hello(self.greeting, self._nonce))
 
-    def request(self, kind: Kind, message: object, *, stays: bool = False) -> Sent:
+    def request(self, kind: Kind, message: object, *, stays: bool = False) -> SentRequest:
         """Return a request to send; its answer is taken by its number.
 
         Args:
@@ -121,7 +121,7 @@ class Session:
         self._exchanges[sent.number] = _Exchange(stays=stays)
         return sent
 
-    def loose(self, kind: Kind, message: object, *, number: int | None = None) -> Sent:
+    def loose(self, kind: Kind, message: object, *, number: int | None = None) -> SentRequest:
         """Return a message to send whose answer, if any comes, is taken by `take_pushed`.
 
         Args:
@@ -202,7 +202,7 @@ class Session:
         if self.broken is not None:
             raise self.broken
 
-    def _sent(self, kind: Kind, message: object, number: int | None = None) -> Sent:
+    def _sent(self, kind: Kind, message: object, number: int | None = None) -> SentRequest:
         self.require_open()
         role = self.greeting.role
         if kind not in MAY[role]:
@@ -220,7 +220,7 @@ class Session:
             )
         if number is None:
             number, self._next = self._next, self._next % 0xFFFF_FFFF + 1
-        return Sent(number, raw_frame(kind, number, body))
+        return SentRequest(number, raw_frame(kind, number, body))
 
     def _bound(self, kind: int) -> int:
         """Return the longest body of what a gate may send to this role."""
@@ -303,10 +303,14 @@ def answer_of(item: Frame) -> dict[str, Any]:
 #: What is told of an event before an answer.
 OnEvent = Callable[[dict[str, Any]], object]
 #: What the answer to an order calls what became of it; to any other, a standing.
-_CALLED = {Act.REVOCATIONS: "revocations", Act.ACCEPT_STORE: "accepted", Act.SHRED: "shredding"}
+_CALLED = {
+    OrderKind.REVOCATIONS: "revocations",
+    OrderKind.ACCEPT_STORE: "accepted",
+    OrderKind.SHRED: "shredding",
+}
 
 
-def done_of(act: Act, said: dict[str, Any]) -> dict[str, Any]:
+def done_of(act: OrderKind, said: dict[str, Any]) -> dict[str, Any]:
     """Return what became of an order: a standing, a list or a store that was taken in.
 
     Raises:

@@ -13,7 +13,7 @@ from pathlib import Path
 from time import time_ns
 
 from authguard_r.client.handshake import Greeting
-from authguard_r.client.session import Session, unreachable
+from authguard_r.client.session import ClientSession, unreachable
 from authguard_r.core.encoding import b64
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.quantities import Now
@@ -33,9 +33,9 @@ _MENDS: dict[type[Exception], str] = {
 }
 
 
-def begin(greeting: Greeting) -> Session:
+def begin(greeting: Greeting) -> ClientSession:
     """Return the session of a new connection."""
-    return Session(greeting, nonce=fresh(), now=_wall)
+    return ClientSession(greeting, nonce=fresh(), now=_wall)
 
 
 def fresh() -> str:

@@ -21,8 +21,8 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from authguard_r.client.handshake import GateVerifier, Greeting
-from authguard_r.client.line import Line
-from authguard_r.client.session import Session, answer_of, unreachable
+from authguard_r.client.line import SessionLine
+from authguard_r.client.session import ClientSession, answer_of, unreachable
 from authguard_r.client.start import begin, fresh, late, reach, unanswered
 from authguard_r.core.errors import (
     AuthenticityError,
@@ -52,7 +52,7 @@ TOLD_S = 10.0
 DEAD_S = 30.0
 
 
-class Part(StrEnum):
+class StopPath(StrEnum):
     """Who carries out a stop; the value is its socket in the run folder."""
 
     LANE = "stop.sock"
@@ -61,10 +61,10 @@ class Part(StrEnum):
     @property
     def words(self) -> str:
         """What a person calls it."""
-        return "the stop process" if self is Part.LANE else "the gate"
+        return "the stop process" if self is StopPath.LANE else "the gate"
 
 
-class Reached(Struct, kw_only=True):
+class StopReply(Struct, kw_only=True):
     """What one part said.
 
     Args:
@@ -112,7 +112,7 @@ class Reached(Struct, kw_only=True):
 
 
 #: What each part said so far.
-Answers = dict[Part, Reached]
+Answers = dict[StopPath, StopReply]
 #: Sends a stop over a connection that is there, and returns the answer to it.
 Ask = Callable[[Stop], Awaitable[Stopped]]
 
@@ -139,7 +139,7 @@ class StopEverywhere:
         client: str | None = None,
         verifier: GateVerifier | None = None,
         robot: RobotId | None = None,
-        own: Mapping[Part, Ask] | None = None,
+        own: Mapping[StopPath, Ask] | None = None,
     ) -> None:
         self._run = run
         self._roles = roles
@@ -149,13 +149,13 @@ class StopEverywhere:
         self._own = dict(own or {})
         plain = why.encode("utf-8", "replace").decode("utf-8")
         self.stop = Stop(why=plain[:MAX_WHY], key=fresh())
-        self.answers: Answers = {part: Reached() for part in Part}
+        self.answers: Answers = {part: StopReply() for part in StopPath}
         self._refused: AuthGuardError | None = None
         self._began_s = monotonic()
 
     async def confirmed(
         self, tell: Callable[[Answers], object] = lambda _: None, *, within_ms: int | None = None
-    ) -> Reached:
+    ) -> StopReply:
         """Return the best answer: a part's that says that the robot stands, or else any.
 
         It asks on until the robot stands. It gives up when a controller was told and does not say
@@ -172,7 +172,7 @@ class StopEverywhere:
         """
         self._began_s = since_s = told_s = monotonic()
         end_s = inf if within_ms is None else since_s + within_ms / 1_000
-        tries = [asyncio.ensure_future(self._try(part)) for part in Part]
+        tries = [asyncio.ensure_future(self._try(part)) for part in StopPath]
         try:
             while not self._is_over(monotonic() - since_s) and monotonic() < end_s:
                 before = self._state()
@@ -205,13 +205,13 @@ class StopEverywhere:
         limit_s = DEAD_S if any(one.is_dead for one in parts) else GONE_S
         return unchanged_s >= limit_s
 
-    def _best(self, why: AuthGuardError | None) -> Reached:
+    def _best(self, why: AuthGuardError | None) -> StopReply:
         answered = [one for one in self.answers.values() if one.answer is not None]
         if answered:
             return max(answered, key=lambda one: (one.has_stopped, one.has_told))
-        raise self._refused or why or unreachable(self.answers[Part.GATE].why, str(self._run))
+        raise self._refused or why or unreachable(self.answers[StopPath.GATE].why, str(self._run))
 
-    async def _try(self, part: Part) -> None:
+    async def _try(self, part: StopPath) -> None:
         """Send it to one part, again and again, until that confirms it or refuses the client."""
         reached, roles = self.answers[part], list(self._roles)
         own, is_again = self._own.get(part), False
@@ -245,14 +245,14 @@ class StopEverywhere:
     def _is_denied(self) -> bool:
         return self._refused is not None and self._refused.reason is Reason.ROLE_DENIED
 
-    def _nobody(self, part: Part) -> AuthenticityError:
+    def _nobody(self, part: StopPath) -> AuthenticityError:
         return AuthenticityError(
             f"this user may be none of {', '.join(f'`{role}`' for role in self._roles)} here",
             reason=Reason.ROLE_DENIED,
             where=str(self._run / part),
         )
 
-    async def _once(self, path: Path, role: ClientRole, reached: Reached) -> Stopped:
+    async def _once(self, path: Path, role: ClientRole, reached: StopReply) -> Stopped:
         """Connect, say hello and stop in one breath, and wait for the answer however long it takes.
 
         Raises:
@@ -272,7 +272,7 @@ class StopEverywhere:
         except OSError as error:  # no file is left: one may be soon
             raise unanswered(error, path) from error
         with wire:
-            line = Line(session, wire)
+            line = SessionLine(session, wire)
             try:
                 await reach(wire, path)
                 await asyncio.get_running_loop().create_unix_connection(lambda: line, sock=wire)
@@ -292,7 +292,7 @@ class StopEverywhere:
                 line.hang_up()
 
 
-def stop_of(path: Path, session: Session, ask: Ask, why: str) -> StopEverywhere:
+def stop_of(path: Path, session: ClientSession, ask: Ask, why: str) -> StopEverywhere:
     """Return a stop over a connection that is there and by the other part of its gate.
 
     Args:
@@ -309,7 +309,7 @@ def stop_of(path: Path, session: Session, ask: Ask, why: str) -> StopEverywhere:
         client=greeting.client,
         verifier=greeting.verifier,
         robot=None if welcome is None else welcome.robot,
-        own={Part.LANE if path.name == Part.LANE else Part.GATE: ask},
+        own={StopPath.LANE if path.name == StopPath.LANE else StopPath.GATE: ask},
     )
 
 

@@ -11,7 +11,7 @@ from authguard_r.core.identifiers import Digest
 from authguard_r.wire.messages import Close, Kind, Sample
 
 
-class Steering:
+class StreamHandle:
     """One stream.
 
     Args:

@@ -17,7 +17,7 @@ from authguard_r.core.mission import MAX_ROWS
 from authguard_r.core.principals import Principal
 
 
-class Verdict(StrEnum):
+class ApprovalVerdict(StrEnum):
     """An approver's answer. One eligible `deny` outweighs any number of approvals."""
 
     APPROVE = "approve"
@@ -49,7 +49,7 @@ class Approval(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     situation: Digest
     counter: Positive
     expires_ms: Count
-    verdict: Verdict
+    verdict: ApprovalVerdict
 
 
 class PreApproval(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

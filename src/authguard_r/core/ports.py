@@ -114,7 +114,7 @@ class SafetyGate(Protocol):
         ...
 
 
-class Flight(Protocol):
+class GoalHandle(Protocol):
     """One dispatched action while it runs."""
 
     def outcome(self) -> Outcome | None:
@@ -129,7 +129,7 @@ class Flight(Protocol):
 class Controller(Protocol):
     """The actuators. Only `enforcement` holds one."""
 
-    def dispatch(self, action: Action, lease: Lease) -> Flight:
+    def dispatch(self, action: Action, lease: Lease) -> GoalHandle:
         """Begin to carry out a released action.
 
         Raises:

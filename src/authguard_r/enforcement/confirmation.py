@@ -39,7 +39,7 @@ class LintCode(StrEnum):
     PLANNER_CHOOSES_RISK = "PLANNER_CHOOSES_RISK"
 
 
-class How(StrEnum):
+class ConfirmationMode(StrEnum):
     """Whether a person was asked, or a script went ahead."""
 
     INTERACTIVE = "interactive"
@@ -72,14 +72,19 @@ class Confirmation(
     request: str
     by: PrincipalId
     at_ms: Count
-    how: How
+    how: ConfirmationMode
     shown: bool
     card: Digest | None = None
     accepted: tuple[LintCode, ...] = ()
 
 
 def confirm(
-    mission: Mission, *, card: Digest | None, how: How, accepted: tuple[LintCode, ...], now: Now
+    mission: Mission,
+    *,
+    card: Digest | None,
+    how: ConfirmationMode,
+    accepted: tuple[LintCode, ...],
+    now: Now,
 ) -> Confirmation:
     """Return the record of a mission being signed now by its issuer.
 

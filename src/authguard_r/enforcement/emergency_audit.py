@@ -42,7 +42,7 @@ _KIND, _KEY = "emergency", "state"
 _SHOWN = 16
 
 
-class Kept(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class EmergencyStanding(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """What the store holds of emergencies.
 
     Args:
@@ -62,7 +62,7 @@ class Kept(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     lost: Count = 0
 
 
-class Step(Struct, frozen=True, kw_only=True):
+class EmergencyStep(Struct, frozen=True, kw_only=True):
     """One step of an emergency: that it was released, or how it ended."""
 
     decision: str
@@ -80,7 +80,7 @@ class Step(Struct, frozen=True, kw_only=True):
     stood_ms: int | None = None
 
 
-class RescueLog:
+class EmergencyAudit:
     """Where emergencies are written down.
 
     Args:
@@ -97,7 +97,9 @@ class RescueLog:
         self._settle = settle
         self._stopped = ledger.peek(stop_stands)
         held = ledger.peek(lambda turn: turn.get(_KIND, _KEY))
-        self._kept = Kept() if held is None else read_held(held, Kept, _KIND)
+        self._kept = (
+            EmergencyStanding() if held is None else read_held(held, EmergencyStanding, _KIND)
+        )
         self._before = frozenset(self._kept.open)  # of a gate that ended before they did
         #: What ended unknown since this gate started, or was left open by the one before.
         self.unknown: deque[str] = deque(maxlen=_SHOWN)
@@ -157,7 +159,7 @@ class RescueLog:
 
         self._note(entry, after)
 
-    def write(self, step: Step, *, journal: bool) -> None:
+    def write(self, step: EmergencyStep, *, journal: bool) -> None:
         """Put a step on disk before this returns.
 
         Args:
@@ -211,12 +213,12 @@ class RescueLog:
             self.unknown.append(capability)
         self._before = frozenset()
 
-    def _note(self, entry: Callable[[int], Entry], after: Kept) -> None:
+    def _note(self, entry: Callable[[int], Entry], after: EmergencyStanding) -> None:
         held: Held = (_KIND, _KEY, encode_fast(after))
         self._ledger.note(entry, essential=True, held=held)
         self._kept = after
 
-    def _journaled(self, step: Step, n: int) -> Journaled:
+    def _journaled(self, step: EmergencyStep, n: int) -> Journaled:
         """Return a step as the journal has it: codes and names, nothing that may be sensitive."""
         return Journaled(
             n=max(n, 1),
@@ -242,7 +244,7 @@ def _strange(journal: EmergencyJournal, heard: int) -> dict[str, int]:
     return {"entries": entries} if entries else {}
 
 
-def _after(kept: Kept, step: Journaled) -> Kept:
+def _after(kept: EmergencyStanding, step: Journaled) -> EmergencyStanding:
     """Return what is held after a step; uses older than an hour are forgotten."""
     since_ms, mine = step.mono_ms - HOUR_MS, f"{step.caller} {step.capability}"
     uses = {key: tuple([at for at in used if at > since_ms]) for key, used in kept.uses.items()}
@@ -258,7 +260,7 @@ def _after(kept: Kept, step: Journaled) -> Kept:
     return replace(kept, uses=recent, open=left)
 
 
-def _entry(step: Step, at: int) -> Entry:
+def _entry(step: EmergencyStep, at: int) -> Entry:
     policy = step.opened.policy
     asked = step.safety
     hazards = [] if asked is None else [finding.hazard for finding in asked.findings]

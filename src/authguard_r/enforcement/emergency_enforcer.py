@@ -19,7 +19,7 @@ from authguard_r.core.facts import SiteFacts
 from authguard_r.core.finding import Finding, Findings, fault_finding, in_paper_order
 from authguard_r.core.identifiers import Digest, Identifier
 from authguard_r.core.lease import Lease
-from authguard_r.core.ports import Flight, SafetyGate
+from authguard_r.core.ports import GoalHandle, SafetyGate
 from authguard_r.core.principals import Verifier
 from authguard_r.core.reasons import Reason
 from authguard_r.core.safety import SafetyDecision
@@ -27,7 +27,7 @@ from authguard_r.core.standing import Outcome
 from authguard_r.core.state import AttestedState
 from authguard_r.enforcement.emergency.decide import (
     EmergencyDecision,
-    Scene,
+    EmergencyScene,
     action_of,
     decide_emergency,
     named,
@@ -36,14 +36,19 @@ from authguard_r.enforcement.emergency.decide import (
 )
 from authguard_r.enforcement.emergency.opened import OpenedPolicy, require_signer
 from authguard_r.enforcement.emergency.policy import Caller, Capability, Missing
-from authguard_r.enforcement.emergency_audit import ACCEPT, RescueLog, Step, refused_call
-from authguard_r.enforcement.inputs import Intake
-from authguard_r.enforcement.leases import Course, Watch, quietly
+from authguard_r.enforcement.emergency_audit import (
+    ACCEPT,
+    EmergencyAudit,
+    EmergencyStep,
+    refused_call,
+)
+from authguard_r.enforcement.inputs import InputVerifier
+from authguard_r.enforcement.leases import ExecutionMonitor, LeaseMonitor, quietly
 from authguard_r.enforcement.report import behind_of, lacks_state
 from authguard_r.store.transactions import Ledger
 
 
-class Call(Struct, frozen=True, kw_only=True):
+class JudgedEmergency(Struct, frozen=True, kw_only=True):
     """One call after both gates, before anything was dispatched.
 
     Args:
@@ -60,7 +65,7 @@ class Call(Struct, frozen=True, kw_only=True):
     caller: Caller
     by: Identifier
     decision: EmergencyDecision
-    scene: Scene
+    scene: EmergencyScene
     action: Action | None = None
     safety: SafetyDecision | None = None
 
@@ -81,7 +86,7 @@ class Call(Struct, frozen=True, kw_only=True):
         return lacks_state(self.safety) and bool(behind_of(self.scene.state))
 
 
-class Rescued(Struct, frozen=True, kw_only=True):
+class EmergencyReport(Struct, frozen=True, kw_only=True):
     """What became of a call.
 
     Args:
@@ -92,14 +97,14 @@ class Rescued(Struct, frozen=True, kw_only=True):
         recorded: False when neither log nor journal took how it ended.
     """
 
-    call: Call
+    call: JudgedEmergency
     ticket: Digest | None = None
     outcome: Outcome | None = None
     reasons: Findings = ()
     recorded: bool = True
 
 
-class Rescue:
+class EmergencyEnforcer:
     """One robot's emergency road.
 
     Args:
@@ -116,14 +121,14 @@ class Rescue:
     def __init__(
         self,
         ledger: Ledger,
-        intake: Intake,
+        intake: InputVerifier,
         *,
         opened: OpenedPolicy,
         verifier: Verifier,
         facts: SiteFacts,
         safety: SafetyGate,
-        watch: Watch,
-        log: RescueLog,
+        watch: LeaseMonitor,
+        log: EmergencyAudit,
     ) -> None:
         self._ledger = ledger
         self._intake = intake
@@ -141,7 +146,9 @@ class Rescue:
         """Return what the gate itself calls as soon as its guards hold."""
         return tuple(c.id for c in self.opened.policy.capabilities if Caller.GATE in c.callers)
 
-    def judge(self, name: str, caller: Caller, by: Identifier, *, stands: bool = False) -> Call:
+    def judge(
+        self, name: str, caller: Caller, by: Identifier, *, stands: bool = False
+    ) -> JudgedEmergency:
         """Ask both gates about a call; nothing is used, recorded or released.
 
         Args:
@@ -154,7 +161,7 @@ class Rescue:
         """
         capability = named(self.opened, name)
         now, stopped = self._ledger.latest(), self.log.stopped  # either may raise the fence
-        scene = Scene(
+        scene = EmergencyScene(
             state=self._state(stands=stands),
             facts=self._facts,
             now=now,
@@ -167,7 +174,7 @@ class Rescue:
         decided = decide_emergency(self.opened, name, caller, scene)
         found = in_paper_order((*decided.findings, *self._revoked()))
         decision = msgspec.structs.replace(decided, findings=found)
-        call = Call(name=name, caller=caller, by=by, decision=decision, scene=scene)
+        call = JudgedEmergency(name=name, caller=caller, by=by, decision=decision, scene=scene)
         if capability is None:
             return call
         action = action_of(capability, scene.state, self._facts)
@@ -176,7 +183,7 @@ class Rescue:
             safety = self._safety.assess(action, scene.state, self._facts, scene.now)
         return msgspec.structs.replace(call, action=action, safety=safety)
 
-    def begin(self, call: Call) -> Rescued | Relief:
+    def begin(self, call: JudgedEmergency) -> EmergencyReport | EmergencyExecution:
         """Write an accepted call down and dispatch it; whoever called watches it.
 
         Raises:
@@ -195,17 +202,17 @@ class Rescue:
         try:
             self.log.write(step, journal=Missing.STORE in capability.without)
         except AuthGuardError as error:
-            return Rescued(call=call, reasons=(fault_finding(error),))
+            return EmergencyReport(call=call, reasons=(fault_finding(error),))
         return self._dispatch(call, capability, action, lease)
 
     def _dispatch(
-        self, call: Call, capability: Capability, action: Action, lease: Lease
-    ) -> Rescued | Relief:
+        self, call: JudgedEmergency, capability: Capability, action: Action, lease: Lease
+    ) -> EmergencyReport | EmergencyExecution:
         findings = self.look(capability, lease, stands=True)
         if not findings:
             try:
                 flight = self.watch.controller.dispatch(action, lease)
-                return Relief(self, call, lease=lease, flight=flight)
+                return EmergencyExecution(self, call, lease=lease, flight=flight)
             except ControllerError as error:
                 findings = (fault_finding(error),)
         return self.ended(call, lease.ticket, Outcome.NOT_STARTED, findings)
@@ -224,12 +231,12 @@ class Rescue:
 
     def ended(
         self,
-        call: Call,
+        call: JudgedEmergency,
         ticket: Digest,
         outcome: Outcome,
         findings: Findings,
         stood_ms: int | None = None,
-    ) -> Rescued:
+    ) -> EmergencyReport:
         """Write down how it ended; what cannot be written is said."""
         step = self._step(call, ticket, outcome, findings, stood_ms)
         written = True
@@ -238,11 +245,11 @@ class Rescue:
         except AuthGuardError:
             written = False
         self._ledger.raise_fence()  # the log may hear of it later only
-        return Rescued(
+        return EmergencyReport(
             call=call, ticket=ticket, outcome=outcome, reasons=findings, recorded=written
         )
 
-    def refuse(self, call: Call, findings: Findings) -> None:
+    def refuse(self, call: JudgedEmergency, findings: Findings) -> None:
         """Record a refused call; a row of one caller's is one record.
 
         Args:
@@ -289,13 +296,13 @@ class Rescue:
 
     def _step(
         self,
-        call: Call,
+        call: JudgedEmergency,
         ticket: Digest,
         decision: str,
         findings: Findings = (),
         stood_ms: int | None = None,
-    ) -> Step:
-        return Step(
+    ) -> EmergencyStep:
+        return EmergencyStep(
             decision=decision,
             at=self._ledger.latest(),
             opened=self.opened,
@@ -312,7 +319,7 @@ class Rescue:
         )
 
 
-class Relief:
+class EmergencyExecution:
     """One emergency while the robot moves, until its outcome is written down.
 
     Args:
@@ -322,7 +329,9 @@ class Relief:
         flight: what the controller says of it.
     """
 
-    def __init__(self, rescue: Rescue, call: Call, *, lease: Lease, flight: Flight) -> None:
+    def __init__(
+        self, rescue: EmergencyEnforcer, call: JudgedEmergency, *, lease: Lease, flight: GoalHandle
+    ) -> None:
         capability = call.decision.capability
         if capability is None or call.action is None:  # pragma: no cover - it was accepted
             raise RuntimeError("an emergency was dispatched without a capability")
@@ -331,14 +340,16 @@ class Relief:
         self.lease = lease
         self.action = call.action
         self.since_ms = rescue.watch.mono_ms()
-        self._course = Course(rescue.watch, flight, lambda: rescue.look(capability, lease))
+        self._course = ExecutionMonitor(
+            rescue.watch, flight, lambda: rescue.look(capability, lease)
+        )
 
     @property
     def holds(self) -> bool:
         """True while nothing was found against it."""
         return self._course.holds
 
-    def poll(self) -> Rescued | None:
+    def poll(self) -> EmergencyReport | None:
         """Look once; return what became of it when it has ended, None while it goes on."""
         landed = self._course.poll()
         if landed is None:

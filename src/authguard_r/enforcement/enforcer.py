@@ -40,12 +40,12 @@ from authguard_r.enforcement.completion import (
     record_of_decision,
     repaired_report,
 )
-from authguard_r.enforcement.inputs import Intake
+from authguard_r.enforcement.inputs import InputVerifier
 from authguard_r.enforcement.leases import (
     WATCH_MS,
     Keep,
+    LeaseMonitor,
     Running,
-    Watch,
     keep_nothing,
     quietly,
     require_judged,
@@ -58,12 +58,12 @@ from authguard_r.enforcement.report import (
     record_decision,
     refused_proposal,
 )
-from authguard_r.enforcement.stopping import Stopping
+from authguard_r.enforcement.stopping import RecordedStops
 from authguard_r.normalize import Step
 from authguard_r.provenance.context import ContextLedger, Influence
 from authguard_r.provenance.labels import label_fields
 from authguard_r.safety.stored_memory import memory_of, remember
-from authguard_r.store.transactions import Act, Ledger
+from authguard_r.store.transactions import Ledger, Transaction
 
 
 class Enforcer:
@@ -81,11 +81,11 @@ class Enforcer:
     def __init__(
         self,
         ledger: Ledger,
-        intake: Intake,
+        intake: InputVerifier,
         *,
         facts: SiteFacts,
         safety: SafetyGate,
-        watch: Watch,
+        watch: LeaseMonitor,
         clock: Clock,
     ) -> None:
         self._ledger = ledger
@@ -93,7 +93,7 @@ class Enforcer:
         self._facts = facts
         self._safety = safety
         self._watch = watch
-        self.stopping = Stopping(ledger, intake)
+        self.stopping = RecordedStops(ledger, intake)
         self._clock = clock
         self._first: Callable[[], object] = lambda: None
 
@@ -154,7 +154,7 @@ class Enforcer:
         """
         base, influences = context.base(), context.influences(step.action)
 
-        def job(act: Act) -> Report:
+        def job(act: Transaction) -> Report:
             judge = partial(self._judge, act, planner=planner, evidence=evidence, base=base)
             report = Report(judged=judge(step), influences=influences)
             report = repaired_report(report, step, judge, context) if repair else report
@@ -223,7 +223,7 @@ class Enforcer:
         )
 
     def _judge(
-        self, act: Act, step: Step, *, planner: Identifier, evidence: Digest, base: Label
+        self, act: Transaction, step: Step, *, planner: Identifier, evidence: Digest, base: Label
     ) -> Judged:
         """(1) to (7) in the writer's turn, then the second gate; nothing is changed yet."""
         verified = self.intake.active_mission(act)
@@ -264,7 +264,7 @@ class Enforcer:
             weights=weights_of(verified.mission.risk_policy, self._facts.risk),
         )
 
-    def _commit(self, act: Act, judged: Judged) -> bool:
+    def _commit(self, act: Transaction, judged: Judged) -> bool:
         """(8) Use what a release uses, or open the question that it needs; False: nothing."""
         standing, match = judged.standing, judged.decision.match
         if standing is None or match is None:
@@ -293,7 +293,7 @@ class Enforcer:
         act.hold(standing)
         return True
 
-    def _record(self, act: Act, report: Report, planner: Identifier, keep: Keep) -> Report:
+    def _record(self, act: Transaction, report: Report, planner: Identifier, keep: Keep) -> Report:
         """(8) Make a decision's changes and append its record, behind what it repairs."""
         judged, refused = require_judged(report), report.repairs
         changes = self._commit(act, judged)
@@ -305,7 +305,7 @@ class Enforcer:
         keep(act, report, number)
         return msgspec.structs.replace(report, seq=number)
 
-    def _refuse(self, act: Act, report: Report, planner: Identifier) -> Report:
+    def _refuse(self, act: Transaction, report: Report, planner: Identifier) -> Report:
         """Record a decision that changes nothing, now or later."""
         fold = (planner, *cause_of(report))
         seq = act.refuse(record_of_decision(report, self._facts), fold=fold)

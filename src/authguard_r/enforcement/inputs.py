@@ -13,11 +13,11 @@ from typing import Protocol
 
 from msgspec.structs import replace
 
-from authguard_r.anchoring.anchor import Anchor
+from authguard_r.anchoring.anchor import StoreAnchor
 from authguard_r.approvals import open_approval, open_preapproval
 from authguard_r.approvals.preapprovals import PreApprovalStore, VerifiedApprovals
 from authguard_r.audit.record import Entry
-from authguard_r.core.approval import Verdict, VerifiedApproval, VerifiedPreApproval
+from authguard_r.core.approval import ApprovalVerdict, VerifiedApproval, VerifiedPreApproval
 from authguard_r.core.encoding import Tag, encode_fast, unb64
 from authguard_r.core.errors import (
     AuthenticityError,
@@ -37,9 +37,9 @@ from authguard_r.core.token import VerifiedMission, open_token, read_token, veri
 from authguard_r.enforcement.templates import (
     Delegations,
     HeldMission,
+    InstancePair,
     Instantiated,
     KeptTemplate,
-    Pair,
     VerifiedTemplate,
     claimed_template,
     held_mission,
@@ -48,7 +48,7 @@ from authguard_r.enforcement.templates import (
     open_template,
 )
 from authguard_r.store.issued_missions import issued
-from authguard_r.store.transactions import SKEW_MS, Act, Ledger, read_held
+from authguard_r.store.transactions import SKEW_MS, Ledger, Transaction, read_held
 
 ISSUER_ROLES = frozenset({"operator", "safety_officer"})
 ESTIMATOR_ROLES = frozenset({"estimator"})
@@ -78,7 +78,7 @@ class Identities(Delegations, Protocol):
         ...
 
 
-class Intake:
+class InputVerifier:
     """The gate's side of every channel that authority or state comes through.
 
     Args:
@@ -96,7 +96,7 @@ class Intake:
         *,
         source: StateSource,
         facts: SiteFacts,
-        anchor: Anchor,
+        anchor: StoreAnchor,
     ) -> None:
         self.anchor = anchor
         self._ledger = ledger
@@ -166,7 +166,7 @@ class Intake:
         except AuthenticityError as error:
             self._state, self._held, self.fault = None, None, error
 
-    def active_mission(self, act: Act) -> VerifiedMission:
+    def active_mission(self, act: Transaction) -> VerifiedMission:
         """Return the one active mission, verified once and kept by the digest of its bytes.
 
         Raises:
@@ -186,7 +186,7 @@ class Intake:
             raise RefusedError(text, where="mission", reason=reason)
         return self.mission(act, standing.digest)
 
-    def mission(self, act: Act, digest: Digest) -> VerifiedMission:
+    def mission(self, act: Transaction, digest: Digest) -> VerifiedMission:
         """Return the mission version with this digest from the gate's own keeping.
 
         Raises:
@@ -197,14 +197,14 @@ class Intake:
         known = self._verified.get(digest)
         return self._verify_held(act, digest) if known is None else known
 
-    def _verify_held(self, act: Act, digest: Digest) -> VerifiedMission:
+    def _verify_held(self, act: Transaction, digest: Digest) -> VerifiedMission:
         held = _token(act, digest)
         verified = self._verify_pair(held, act) if is_pair(held) else self.verify_mission(held, act)
         if verified.digest != digest:
             raise _corrupt(f"expected the token of `{digest}`, got `{verified.digest}`'s")
         return verified
 
-    def held(self, act: Act, digest: Digest) -> HeldMission:
+    def held(self, act: Transaction, digest: Digest) -> HeldMission:
         """Return a mission version as it was verified once, to end, settle or show it by.
 
         Its certificates may have ended since; that keeps nobody from ending what they began.
@@ -215,7 +215,7 @@ class Intake:
         """
         return held_mission(_token(act, digest), digest)
 
-    def lost(self, act: Act, digest: Digest) -> Reason | None:
+    def lost(self, act: Transaction, digest: Digest) -> Reason | None:
         """Return why nobody's signature stands behind a mission now; None: somebody's does.
 
         Asked anew, whatever was believed before.
@@ -233,7 +233,7 @@ class Intake:
         """Return a mission version that was verified before, to be shown; it gives no authority."""
         return self._verified.get(digest)
 
-    def verify_mission(self, token: bytes, act: Act) -> VerifiedMission:
+    def verify_mission(self, token: bytes, act: Transaction) -> VerifiedMission:
         """Return the mission in a token, at the act's time, and keep it.
 
         Raises:
@@ -243,7 +243,7 @@ class Intake:
         verified = verify_mission(token, verifier=self._verifier, now=act.now, roles=ISSUER_ROLES)
         return self._keep(verified)
 
-    def verify_template(self, token: bytes, act: Act) -> VerifiedTemplate:
+    def verify_template(self, token: bytes, act: Transaction) -> VerifiedTemplate:
         """Return the template in a token, at the act's time.
 
         Raises:
@@ -252,12 +252,12 @@ class Intake:
         """
         return open_template(token, verifier=self._verifier, now=act.now, roles=ISSUER_ROLES)
 
-    def kept_template(self, act: Act, digest: Digest) -> KeptTemplate | None:
+    def kept_template(self, act: Transaction, digest: Digest) -> KeptTemplate | None:
         """Return what is kept of a template, None when it was never taken in."""
         held = act.get("template", digest)
         return None if held is None else read_held(held, KeptTemplate, "template")
 
-    def verify_instance(self, token: bytes, act: Act) -> tuple[Instantiated, KeptTemplate]:
+    def verify_instance(self, token: bytes, act: Transaction) -> tuple[Instantiated, KeptTemplate]:
         """Return the mission in an instance token, at the act's time, and its template as kept.
 
         Its template is verified anew: an operator whose certificate was revoked issues nothing.
@@ -273,9 +273,9 @@ class Intake:
         self._keep(made.mission)
         return made, kept
 
-    def _verify_pair(self, held: bytes, act: Act) -> VerifiedMission:
+    def _verify_pair(self, held: bytes, act: Transaction) -> VerifiedMission:
         """Return a mission that a template was filled with, from both its tokens."""
-        pair = read_held(held, Pair, "token")
+        pair = read_held(held, InstancePair, "token")
         template = self.verify_template(pair.template.encode("utf-8"), act)
         self._require_template(act, template.digest)
         token = pair.instance.encode("utf-8")
@@ -283,7 +283,7 @@ class Intake:
             instantiate(token, template, verifier=self._verifier, now=act.now).mission
         )
 
-    def _require_template(self, act: Act, digest: Digest) -> KeptTemplate:
+    def _require_template(self, act: Transaction, digest: Digest) -> KeptTemplate:
         kept = self.kept_template(act, digest)
         if kept is None or kept.withdrawn:
             gone = kept is not None
@@ -306,7 +306,7 @@ class Intake:
         self._verified.clear()
         self.preapprovals.forget()
 
-    def verify_answer(self, act: Act, token: bytes) -> VerifiedApproval:
+    def verify_answer(self, act: Transaction, token: bytes) -> VerifiedApproval:
         """Return the answer in a token, at the act's time.
 
         Raises:
@@ -315,7 +315,7 @@ class Intake:
         """
         return open_approval(token, verifier=self._verifier, now=act.now)
 
-    def keep_answer(self, act: Act, verified: VerifiedApproval, token: bytes) -> bool:
+    def keep_answer(self, act: Transaction, verified: VerifiedApproval, token: bytes) -> bool:
         """Keep an answer to an open request until that is used or dies; False: it was kept before.
 
         Raises:
@@ -325,7 +325,7 @@ class Intake:
         key = f"{verified.approval.mid}:{verified.approval.counter}"
         held = act.get("approvals", key)
         tokens = read_held(held, tuple[str, ...], "approvals") if held else ()
-        if verified.approval.verdict is Verdict.APPROVE:
+        if verified.approval.verdict is ApprovalVerdict.APPROVE:
             self._require_one_name(token, (*_issuing(act, verified.approval.mid), *tokens))
         same = [
             kept.approval
@@ -363,7 +363,7 @@ class Intake:
             chain = tuple(unb64(der, where="token.endorsements") for der in endorsement.chain)
             yield self._verifier.bearer(chain)
 
-    def answers(self, act: Act, standing: Standing | None) -> VerifiedApprovals:
+    def answers(self, act: Transaction, standing: Standing | None) -> VerifiedApprovals:
         """Return every kept answer to an open request, and pre-approval, that is authentic now."""
         found: list[tuple[VerifiedApproval, str]] = []
         for request in () if standing is None else standing.requests.values():
@@ -378,7 +378,7 @@ class Intake:
             preapproval_tokens={one.digest: token for one, token in stored},
         )
 
-    def verify_preapproval(self, act: Act, token: bytes) -> VerifiedPreApproval:
+    def verify_preapproval(self, act: Transaction, token: bytes) -> VerifiedPreApproval:
         """Return the pre-approval in a token, at the act's time, of nobody who issued the mission.
 
         Raises:
@@ -391,7 +391,7 @@ class Intake:
         return item
 
     def _authentic(
-        self, act: Act, tokens: tuple[str, ...]
+        self, act: Transaction, tokens: tuple[str, ...]
     ) -> Iterator[tuple[VerifiedApproval, str]]:
         """Yield the kept answers that hold now: an approver revoked since then does not count."""
         for token in tokens:
@@ -451,7 +451,7 @@ class Intake:
             )
 
 
-def _token(act: Act, digest: Digest) -> bytes:
+def _token(act: Transaction, digest: Digest) -> bytes:
     """Return a mission version as it was taken in: a token, or a template's and its instance's."""
     held = act.token(digest)
     if held is None and act.get("token", digest) is not None:
@@ -462,7 +462,7 @@ def _token(act: Act, digest: Digest) -> bytes:
     return held
 
 
-def _issuing(act: Act, mid: MissionId) -> tuple[str, ...]:
+def _issuing(act: Transaction, mid: MissionId) -> tuple[str, ...]:
     """Return every token that the authority of a mission's version in force comes from."""
     standing = act.standing(mid)
     return () if standing is None else _parts(_token(act, standing.digest))
@@ -471,7 +471,7 @@ def _issuing(act: Act, mid: MissionId) -> tuple[str, ...]:
 def _parts(held: bytes) -> tuple[str, ...]:
     if not is_pair(held):
         return (held.decode("ascii"),)
-    pair = read_held(held, Pair, "token")
+    pair = read_held(held, InstancePair, "token")
     return pair.template, pair.instance
 
 

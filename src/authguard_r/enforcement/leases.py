@@ -22,13 +22,13 @@ from authguard_r.core.finding import Finding, Findings, fault_finding
 from authguard_r.core.lease import Lease, still
 from authguard_r.core.lifecycle import Event
 from authguard_r.core.mission import Mission
-from authguard_r.core.ports import Controller, Flight
+from authguard_r.core.ports import Controller, GoalHandle
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome, Spend, Standing, advance, finish, settle
-from authguard_r.enforcement.inputs import Intake
+from authguard_r.enforcement.inputs import InputVerifier
 from authguard_r.enforcement.report import Judged, Report, outcome_entry
 from authguard_r.safety.stored_memory import settle_memory
-from authguard_r.store.transactions import Act, Ledger
+from authguard_r.store.transactions import Ledger, Transaction
 
 T = TypeVar("T")
 #: The lease is looked at this often, in milliseconds; never more seldom than every 100.
@@ -36,10 +36,10 @@ WATCH_MS = 100
 #: A robot that was stopped stands by then, in milliseconds, or nobody knows what it does.
 STAND_WITHIN_MS = 2_000
 #: Holds something beside a decision or an outcome, in the same turn; given its record's number.
-Keep = Callable[[Act, Report, int], None]
+Keep = Callable[[Transaction, Report, int], None]
 
 
-def keep_nothing(act: Act, report: Report, seq: int) -> None:
+def keep_nothing(act: Transaction, report: Report, seq: int) -> None:
     """Hold nothing beside the record."""
 
 
@@ -65,7 +65,7 @@ class Guarded(Protocol):
         ...
 
 
-class Watch:
+class LeaseMonitor:
     """What looks at leases and writes down how they ended.
 
     Args:
@@ -79,7 +79,7 @@ class Watch:
     def __init__(
         self,
         ledger: Ledger,
-        intake: Intake,
+        intake: InputVerifier,
         *,
         facts: SiteFacts,
         controller: Controller,
@@ -90,7 +90,7 @@ class Watch:
         self._facts = facts
         self.controller = controller
         self.stand_within_ms = stand_within_ms
-        self._owed: list[Callable[[Act], int]] = []
+        self._owed: list[Callable[[Transaction], int]] = []
 
     def mono_ms(self) -> int:
         """Return the monotonic clock that leases are measured on."""
@@ -140,7 +140,7 @@ class Watch:
         mission = judged.verified.mission
         ended = msgspec.structs.replace(report, outcome=outcome, reasons=findings)
 
-        def job(act: Act) -> int:
+        def job(act: Transaction) -> int:
             standing = act.standing(mission.mid)
             if standing is None:
                 raise StoreError("the registry's entry is gone", reason=Reason.STORE_CORRUPT)
@@ -161,7 +161,7 @@ class Watch:
         if not recorded:
             self._ledger.raise_fence()  # it ended all the same
 
-            def later(act: Act) -> int:
+            def later(act: Transaction) -> int:
                 standing = act.standing(mission.mid)
                 known = () if standing is None else standing.open  # a person may have said it
                 is_open = any(release.ticket == judged.ticket for release in known)
@@ -178,7 +178,7 @@ class Watch:
                 self._owed.append(job)
         return len(self._owed) < len(owed)
 
-    def _current(self, act: Act, standing: Standing, judged: Judged) -> Mission | None:
+    def _current(self, act: Transaction, standing: Standing, judged: Judged) -> Mission | None:
         """Return what says whether all is done: the version in force, not the one released under.
 
         None when nobody can say: its certificates do not hold any more, and it stays as it is.
@@ -188,7 +188,7 @@ class Watch:
         return quietly(lambda: self._intake.mission(act, standing.digest).mission)
 
 
-class Landed(Struct, frozen=True, kw_only=True):
+class ExecutionResult(Struct, frozen=True, kw_only=True):
     """How a flight ended, as far as anybody knows.
 
     Args:
@@ -202,7 +202,7 @@ class Landed(Struct, frozen=True, kw_only=True):
     stood_ms: int | None
 
 
-class Course:
+class ExecutionMonitor:
     """A dispatched flight until its end: looked at, told to stop once, given up in the end.
 
     Args:
@@ -211,7 +211,9 @@ class Course:
         look: returns what speaks against going on.
     """
 
-    def __init__(self, watch: Watch, flight: Flight, look: Callable[[], Findings]) -> None:
+    def __init__(
+        self, watch: LeaseMonitor, flight: GoalHandle, look: Callable[[], Findings]
+    ) -> None:
         self._watch = watch
         self._flight = flight
         self._look = look
@@ -224,7 +226,7 @@ class Course:
         """True while nothing was found against it."""
         return self._told_ms is None
 
-    def poll(self) -> Landed | None:
+    def poll(self) -> ExecutionResult | None:
         """Look once; return how it ended, None while it goes on."""
         found = (*self._look(), *self._doubts()) if self._told_ms is None else ()
         ended = self._flight.outcome()
@@ -243,20 +245,20 @@ class Course:
         why = self._why()
         return (_said(why),) if why else ()
 
-    def _ended(self, outcome: Outcome) -> Landed:
+    def _ended(self, outcome: Outcome) -> ExecutionResult:
         return self._landed(outcome, self._findings or self._doubts())
 
-    def _lost(self) -> Landed:
+    def _lost(self) -> ExecutionResult:
         """Say that nobody knows: the robot was told to stop and did not say that it stands."""
         silent = Finding(
             "controller", Reason.CONTROLLER_FAILED, "a robot that stands", "no answer to a stop"
         )
         return self._landed(Outcome.UNKNOWN, (*self._findings, silent))
 
-    def _landed(self, outcome: Outcome, findings: Findings) -> Landed:
+    def _landed(self, outcome: Outcome, findings: Findings) -> ExecutionResult:
         told = self._told_ms
         stood = None if told is None else self._watch.mono_ms() - told
-        return Landed(outcome=outcome, findings=findings, stood_ms=stood)
+        return ExecutionResult(outcome=outcome, findings=findings, stood_ms=stood)
 
 
 class Running:
@@ -271,14 +273,14 @@ class Running:
     """
 
     def __init__(
-        self, watch: Watch, report: Report, *, lease: Lease, flight: Flight, keep: Keep
+        self, watch: LeaseMonitor, report: Report, *, lease: Lease, flight: GoalHandle, keep: Keep
     ) -> None:
         self._watch = watch
         self._report = report
         self.lease = lease
         self._flight = flight
         self._keep = keep
-        self._course = Course(watch, flight, lambda: watch.look(lease))
+        self._course = ExecutionMonitor(watch, flight, lambda: watch.look(lease))
         self._before: Callable[[], object] = lambda: None
         self.since_ms = watch.mono_ms()
 

@@ -15,7 +15,7 @@ import msgspec
 from msgspec import Raw, Struct
 
 from authguard_r.approvals import approver_json
-from authguard_r.approvals.requests import Asked, fits, note_request
+from authguard_r.approvals.requests import OpenRequest, fits, note_request
 from authguard_r.audit.deviation import Weights, deviation
 from authguard_r.audit.record import NONE, Entry
 from authguard_r.core.action import Action
@@ -34,7 +34,7 @@ from authguard_r.core.standing import ApprovalRequest, Outcome, Spend, Standing
 from authguard_r.core.state import AttestedState
 from authguard_r.core.token import VerifiedMission
 from authguard_r.provenance.context import Influence
-from authguard_r.store.transactions import Act
+from authguard_r.store.transactions import Transaction
 
 #: What the log says of the second gate when the first refused.
 NOT_EVALUATED = "not evaluated"
@@ -377,7 +377,7 @@ def counted(judged: Judged, facts: SiteFacts) -> list[dict[str, Any]]:
     )
     if request is None or standing is None or match is None:
         return []
-    asked = Asked(
+    asked = OpenRequest(
         verified=judged.verified,
         grant=match.indexed.grant,
         request=request,
@@ -395,7 +395,7 @@ def counted(judged: Judged, facts: SiteFacts) -> list[dict[str, Any]]:
     ]
 
 
-def record_decision(act: Act, judged: Judged, entry: Entry) -> int:
+def record_decision(act: Transaction, judged: Judged, entry: Entry) -> int:
     """Record a decision that changed something; of a new request the number is held with it."""
     seq = act.record(entry)
     if judged.request is not None:

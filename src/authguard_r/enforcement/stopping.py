@@ -14,16 +14,16 @@ from typing import Any
 from authguard_r.core.identifiers import Identifier
 from authguard_r.core.lifecycle import Event, Status
 from authguard_r.core.standing import advance, count_planner_stop
-from authguard_r.enforcement.inputs import Intake
+from authguard_r.enforcement.inputs import InputVerifier
 from authguard_r.enforcement.leases import quietly
 from authguard_r.enforcement.report import alert_entry, stop_entry, suspension_entry
-from authguard_r.store.transactions import STOP, Act, Ledger
+from authguard_r.store.transactions import STOP, Ledger, Transaction
 
 #: A planner's stops beyond its budget are counted like refusals under this reason.
 _OVER = "planner stops"
 
 
-class _Count(Enum):
+class _BudgetPlace(Enum):
     """Where a planner's stop stands in its mission's budget."""
 
     WITHIN = 1
@@ -31,7 +31,7 @@ class _Count(Enum):
     OVER = 3
 
 
-class Stopping:
+class RecordedStops:
     """Records stops that were carried out.
 
     Args:
@@ -39,7 +39,7 @@ class Stopping:
         intake: for the mission's budget.
     """
 
-    def __init__(self, ledger: Ledger, intake: Intake) -> None:
+    def __init__(self, ledger: Ledger, intake: InputVerifier) -> None:
         self._ledger = ledger
         self._intake = intake
         self._owed = False
@@ -69,10 +69,10 @@ class Stopping:
             why: the words of whoever stopped; sealed.
         """
         entry = stop_entry(by, is_planner=is_planner, details=details, why=why)
-        counted: _Count | None = _Count.WITHIN
+        counted: _BudgetPlace | None = _BudgetPlace.WITHIN
         if is_planner:
             counted = quietly(lambda: self._ledger.run(self._count_stop))
-        if counted is not _Count.OVER:
+        if counted is not _BudgetPlace.OVER:
             # that it stands needs no right clock, as its record does not
             at_ms = str(self._ledger.latest().utc_ms).encode("ascii")
             held = (*STOP, at_ms) if suspends else None
@@ -84,7 +84,7 @@ class Stopping:
             self._ledger.raise_fence()  # the log may hear of it later, or of its count alone
         self._owed = self._owed or suspends
         self.settle()
-        return counted is _Count.ALERT
+        return counted is _BudgetPlace.ALERT
 
     def hold(self) -> None:
         """Let an operator's stop take its effect now; what is said of it is recorded later."""
@@ -102,7 +102,7 @@ class Stopping:
             self._owed = False
 
     @staticmethod
-    def _suspend(act: Act) -> bool:
+    def _suspend(act: Transaction) -> bool:
         """Let the stop stand and suspend the active mission, if one is; True: it is done."""
         act.put(*STOP, str(act.now.utc_ms).encode("ascii"))
         mid = act.active()
@@ -117,18 +117,18 @@ class Stopping:
             act.record(suspension_entry(held, act.now))
         return True
 
-    def _count_stop(self, act: Act) -> _Count:
+    def _count_stop(self, act: Transaction) -> _BudgetPlace:
         """Count a stop that the planner asked for; the first past its budget raises an alert."""
         mid = act.active()
         standing = act.standing(mid) if mid is not None else None
         if standing is None:
-            return _Count.WITHIN
+            return _BudgetPlace.WITHIN
         most = self._intake.held(act, standing.digest).mission.budgets.planner_stops
         if standing.planner_stops > most:
-            return _Count.OVER
+            return _BudgetPlace.OVER
         counted = count_planner_stop(standing)
         act.hold(counted)
         if counted.planner_stops <= most:
-            return _Count.WITHIN
+            return _BudgetPlace.WITHIN
         act.record(alert_entry("planner stops", standing.mid, act.now))
-        return _Count.ALERT
+        return _BudgetPlace.ALERT

@@ -30,7 +30,7 @@ from authguard_r.core.errors import (
 from authguard_r.core.reasons import Reason
 from authguard_r.estop.main import ask
 from authguard_r.estop.run_folder import SOCKET, is_served
-from authguard_r.estop.startup import LaneFiles
+from authguard_r.estop.startup import EStopFiles
 from authguard_r.wire.faults import from_fault
 from authguard_r.wire.frames import Frame, FrameReader, frame, read_body
 from authguard_r.wire.messages import (
@@ -55,7 +55,7 @@ _MAIN = "import sys; from authguard_r.estop.main import main; sys.exit(main(sys.
 _BOUND = {int(kind): 1 << 13 for kind in (Kind.WELCOME, Kind.EVENT, Kind.REPLY, Kind.ERROR)}
 
 
-def start_lane(files: LaneFiles) -> subprocess.Popen[bytes] | None:
+def start_lane(files: EStopFiles) -> subprocess.Popen[bytes] | None:
     """Start a lane in a session of its own, unless one serves; None then. Returns once it serves.
 
     The process inherits no open file and no session; who keeps the result can reap it.
@@ -108,7 +108,7 @@ def _why(error: object) -> str:
     return f"{error.get('message')}{place}"
 
 
-class LaneLink(asyncio.Protocol):
+class EStopConnection(asyncio.Protocol):
     """The gate's connection to its stop lane.
 
     Args:

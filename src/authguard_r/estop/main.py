@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The stop lane as its gate starts it: the same process as `authguard stop-lane`, sooner.
 
-The one argument is a `LaneFiles` as JSON; the first line printed says that it serves, or why not.
+The one argument is a `EStopFiles` as JSON; the first line printed says that it serves, or why not.
 Spec page: docs/spec/gate-protocol.md#stop-lane
 """
 
@@ -14,11 +14,11 @@ import msgspec
 
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import RobotId
-from authguard_r.estop.startup import LaneFiles, Ready, run_lane
+from authguard_r.estop.startup import EStopFiles, EStopReady, run_lane
 
 
-class Asked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """`LaneFiles` as one argument can hold it."""
+class StartArguments(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """`EStopFiles` as one argument can hold it."""
 
     run: str
     robot: RobotId
@@ -28,17 +28,17 @@ class Asked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     config: str
 
 
-def ask(files: LaneFiles) -> str:
+def ask(files: EStopFiles) -> str:
     """Return the argument that stands for these files."""
     names = ("run", "trust", "key", "cert", "config")
     paths = {name: str(getattr(files, name).absolute()) for name in names}
-    return msgspec.json.encode(Asked(robot=files.robot, **paths)).decode()
+    return msgspec.json.encode(StartArguments(robot=files.robot, **paths)).decode()
 
 
 def main(arguments: list[str]) -> int:
     """Serve until SIGTERM; return the exit code."""
-    asked = msgspec.json.decode(arguments[0], type=Asked)
-    files = LaneFiles(
+    asked = msgspec.json.decode(arguments[0], type=StartArguments)
+    files = EStopFiles(
         run=Path(asked.run),
         robot=asked.robot,
         trust=Path(asked.trust),
@@ -54,6 +54,6 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
-def _say(line: Ready | dict[str, object]) -> None:
+def _say(line: EStopReady | dict[str, object]) -> None:
     sys.stdout.write(msgspec.json.encode(line).decode() + "\n")
     sys.stdout.flush()

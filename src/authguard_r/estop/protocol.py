@@ -27,8 +27,8 @@ from authguard_r.core.identifiers import RobotId
 from authguard_r.core.principals import Signer
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
-from authguard_r.estop.stop_queue import Journal
-from authguard_r.estop.stops import Brake, Settled, Stops
+from authguard_r.estop.stop_queue import Backlog
+from authguard_r.estop.stops import ControllerConnection, Settled, Stops
 from authguard_r.wire.faults import to_fault
 from authguard_r.wire.frames import Frame, FrameReader, frame, read_body
 from authguard_r.wire.messages import (
@@ -57,7 +57,7 @@ MAX_GATE_OUT = 1 << 20
 MOST_PEERS = 1_024
 
 
-class Peer:
+class EStopPeer:
     """One connection.
 
     The process reads from it while it `is_heard`, sends `out`, and closes it once it `is_ending`
@@ -75,7 +75,7 @@ class Peer:
         self.is_busy = False
         self.is_ending = False
         self.is_gone = False
-        self.brake: Brake | None = None
+        self.brake: ControllerConnection | None = None
         self.unproved: Hello | None = None  # what it is welcomed for, with a proof
 
     @property
@@ -84,16 +84,16 @@ class Peer:
         return not (self.is_busy or self.is_ending or self.asked)
 
 
-class Asked(Struct, frozen=True):
+class StopRequest(Struct, frozen=True):
     """One stop as it was asked for."""
 
-    peer: Peer
+    peer: EStopPeer
     number: int
     stop: Stop
     time_ms: int
 
 
-class Asking(Struct, frozen=True):
+class SyncQuestion(Struct, frozen=True):
     """A gate's question whether it knows of every stop that came before."""
 
     number: int
@@ -108,7 +108,7 @@ class Dropped(Struct, frozen=True):
     where: str
 
 
-class Desk:
+class EStopDispatcher:
     """Every connection of one lane.
 
     Args:
@@ -120,23 +120,23 @@ class Desk:
     """
 
     def __init__(
-        self, robot: RobotId, config: GateConfig, *, own_uid: int, signer: Signer, journal: Journal
+        self, robot: RobotId, config: GateConfig, *, own_uid: int, signer: Signer, journal: Backlog
     ) -> None:
         self.journal = journal
         self.dropped: Counter[Dropped] = Counter()
-        self.touched: list[Peer] = []
+        self.touched: list[EStopPeer] = []
         self._robot = robot
         self._config = config
         self._own_uid = own_uid
         self._signer = signer
-        self._peers: set[Peer] = set()
-        self._due: set[Peer] = set()
-        self._ready: deque[Peer] = deque()
+        self._peers: set[EStopPeer] = set()
+        self._due: set[EStopPeer] = set()
+        self._ready: deque[EStopPeer] = deque()
         self._users: Counter[int] = Counter()
-        self._stops: Stops[Asked] = Stops()
-        self._gate: Peer | None = None
-        self._asking: deque[Asking] = deque()
-        self._unproved: deque[Peer] = deque()
+        self._stops: Stops[StopRequest] = Stops()
+        self._gate: EStopPeer | None = None
+        self._asking: deque[SyncQuestion] = deque()
+        self._unproved: deque[EStopPeer] = deque()
 
     @property
     def is_waiting(self) -> bool:
@@ -158,9 +158,9 @@ class Desk:
         """True while a gate takes the stops."""
         return self._gate is not None
 
-    def open(self, uid: int, now: Now) -> Peer:
+    def open(self, uid: int, now: Now) -> EStopPeer:
         """Return the state of a new connection; it may be ending already."""
-        peer = Peer(uid, now.mono_ms + WHOLE_WITHIN_MS)
+        peer = EStopPeer(uid, now.mono_ms + WHOLE_WITHIN_MS)
         self._peers.add(peer)
         self._due.add(peer)
         self._users[uid] += 1
@@ -170,7 +170,7 @@ class Desk:
             self._end(peer, _busy("too many connections"))
         return peer
 
-    def received(self, peer: Peer, data: bytes, now: Now) -> None:
+    def received(self, peer: EStopPeer, data: bytes, now: Now) -> None:
         """Take in bytes of a client, anybody's; what is wrong ends its connection alone."""
         try:
             peer.reader.put(data)
@@ -185,7 +185,7 @@ class Desk:
         if peer.role is not None:
             self._mark(peer, now)
 
-    def close(self, peer: Peer, now: Now) -> None:
+    def close(self, peer: EStopPeer, now: Now) -> None:
         """Let a connection go that ended, whoever ended it; a second call does nothing.
 
         A stop that came whole is carried out and recorded all the same: its client may have left
@@ -231,7 +231,7 @@ class Desk:
         if self._unproved:
             self._prove(self._unproved.popleft(), now)
 
-    def _serve(self, peer: Peer, now: Now) -> None:
+    def _serve(self, peer: EStopPeer, now: Now) -> None:
         """Carry out what a client asked, at most one stop: then it is the others' turn."""
         while peer.asked and not (peer.is_busy or peer.is_ending):
             item = peer.asked.popleft()
@@ -247,12 +247,12 @@ class Desk:
             else:
                 self._hello(peer, read_body(item.body, Hello), now)
 
-    def _stop(self, peer: Peer, stop: Stop, number: int, now: Now) -> None:
+    def _stop(self, peer: EStopPeer, stop: Stop, number: int, now: Now) -> None:
         peer.is_busy = True
-        self._stops.stop(Asked(peer, number, stop, now.utc_ms), now.mono_ms)
+        self._stops.stop(StopRequest(peer, number, stop, now.utc_ms), now.mono_ms)
         self._settle(now)
 
-    def _stood(self, peer: Peer, stood: Stood, number: int, now: Now) -> None:
+    def _stood(self, peer: EStopPeer, stood: Stood, number: int, now: Now) -> None:
         if peer.brake is not None:
             self._stops.stood(peer.brake, number, said=stood, now_ms=now.mono_ms)
             self._settle(now)
@@ -262,13 +262,13 @@ class Desk:
             raise MalformedError("this stop was never sent", where="heard.n")
         self._tell_gate()
 
-    def _sync(self, peer: Peer, _: Nothing, number: int) -> None:
+    def _sync(self, peer: EStopPeer, _: Nothing, number: int) -> None:
         """Answer once this gate was sent every suspending stop that came before its question."""
         if peer is self._gate:
-            self._asking.append(Asking(number, self._stops.begun))
+            self._asking.append(SyncQuestion(number, self._stops.begun))
             self._tell_gate()
 
-    def _hello(self, peer: Peer, hello: Hello, now: Now) -> None:
+    def _hello(self, peer: EStopPeer, hello: Hello, now: Now) -> None:
         if hello.protocol != PROTOCOL:
             raise MalformedError(f"expected the protocol `{PROTOCOL}`", where="hello.protocol")
         if peer.role is not None:
@@ -285,18 +285,18 @@ class Desk:
             peer.unproved = hello
             self._unproved.append(peer)
 
-    def _prove(self, peer: Peer, now: Now) -> None:
+    def _prove(self, peer: EStopPeer, now: Now) -> None:
         """Welcome a client that waits for a proof, unless that came first of a stop of its own."""
         hello, peer.unproved = peer.unproved, None
         if hello is not None:
             self._welcome(peer, hello, now)
 
-    def _welcome(self, peer: Peer, hello: Hello, now: Now) -> None:
+    def _welcome(self, peer: EStopPeer, hello: Hello, now: Now) -> None:
         if peer.is_ending:
             return
         self._send(peer, Kind.WELCOME, 0, welcome_of(hello, self._config, self._signer))
         if hello.role is ClientRole.CONTROLLER:
-            peer.brake = Brake(
+            peer.brake = ControllerConnection(
                 lambda number: self._send(peer, Kind.HALT, number, Halt()), lambda: not peer.out
             )
             self._stops.join(peer.brake, now.mono_ms)
@@ -319,7 +319,7 @@ class Desk:
         if over:
             self._tell_gate()
 
-    def _answer(self, settled: Settled[Asked]) -> None:
+    def _answer(self, settled: Settled[StopRequest]) -> None:
         peer = settled.asked.peer
         answer = Stopped(
             stopped=settled.stopped, controller=settled.controller, after_ms=settled.after_ms
@@ -329,7 +329,7 @@ class Desk:
         if peer.asked:
             self._ready.append(peer)
 
-    def _keep(self, settled: Settled[Asked]) -> None:
+    def _keep(self, settled: Settled[StopRequest]) -> None:
         asked = settled.asked
         if asked.peer.role is None:  # pragma: no cover - nobody asks before a hello
             raise RuntimeError("a stop of nobody was carried out")
@@ -359,7 +359,7 @@ class Desk:
             while self._asking and self._asking[0].begun <= self._stops.over:
                 self._send(gate, Kind.REPLY, self._asking.popleft().number, Nothing())
 
-    def _mark(self, peer: Peer, now: Now) -> None:
+    def _mark(self, peer: EStopPeer, now: Now) -> None:
         """Give a message that has begun its time, from its first byte on."""
         if not peer.reader.unfinished:
             peer.due_ms = None
@@ -368,7 +368,7 @@ class Desk:
             peer.due_ms = now.mono_ms + WHOLE_WITHIN_MS
             self._due.add(peer)
 
-    def _send(self, peer: Peer, kind: Kind, number: int, body: object) -> None:
+    def _send(self, peer: EStopPeer, kind: Kind, number: int, body: object) -> None:
         if peer.is_ending:
             return
         peer.out += frame(kind, number, body)
@@ -376,7 +376,7 @@ class Desk:
         if len(peer.out) > (MAX_GATE_OUT if peer is self._gate else MAX_OUT):
             self._end(peer, _busy("the client does not read"))
 
-    def _end(self, peer: Peer, error: AuthGuardError) -> None:
+    def _end(self, peer: EStopPeer, error: AuthGuardError) -> None:
         """Tell a client why, as far as it listens, and let it go."""
         if peer.is_ending:
             return

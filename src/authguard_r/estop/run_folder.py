@@ -35,7 +35,7 @@ _END_S = 5.0
 _LOOK_S = 0.02
 
 
-class Place(Struct, frozen=True, kw_only=True):
+class RunFolder(Struct, frozen=True, kw_only=True):
     """What a lane holds of its run folder.
 
     Args:
@@ -49,7 +49,7 @@ class Place(Struct, frozen=True, kw_only=True):
     lock: int
 
 
-def take_place(run: Path, *, of_gate: bool = False) -> Place:
+def take_place(run: Path, *, of_gate: bool = False) -> RunFolder:
     """Return the run folder's stop socket, listening, and held against a second lane.
 
     A socket that nobody serves any more is replaced. The folder decides who reaches the socket:
@@ -78,13 +78,13 @@ def take_place(run: Path, *, of_gate: bool = False) -> Place:
         os.close(lock)
         raise _taken(path)
     try:
-        return Place(run=run, listener=_listen(path), lock=lock)
+        return RunFolder(run=run, listener=_listen(path), lock=lock)
     except OSError as error:
         os.close(lock)
         raise _unusable(error, path) from error
 
 
-def leave_place(place: Place) -> None:
+def leave_place(place: RunFolder) -> None:
     """Remove the socket and the file with the process's number."""
     place.listener.close()
     for name in (SOCKET, OF_GATE, PID):

@@ -23,10 +23,10 @@ from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.principals import Signer
 from authguard_r.core.quantities import Now
-from authguard_r.estop.protocol import Desk, Peer
-from authguard_r.estop.run_folder import EPOCH, FIRST_SPOOL, SPOOL, Place
+from authguard_r.estop.protocol import EStopDispatcher, EStopPeer
+from authguard_r.estop.run_folder import EPOCH, FIRST_SPOOL, SPOOL, RunFolder
 from authguard_r.estop.spool import MOST_FIRST_SPOOLED, Spool, left_by, next_epoch
-from authguard_r.estop.stop_queue import Journal, Queue
+from authguard_r.estop.stop_queue import Backlog, Queue
 
 #: Bytes that are read from one client before it is the next one's turn.
 CHUNK = 4_096
@@ -42,7 +42,7 @@ RETRY_MS = 1_000
 SAY_MS = 10_000
 
 
-class Lane:
+class EStopServer:
     """The process's loop: bytes and time in, bytes out.
 
     Args:
@@ -53,7 +53,7 @@ class Lane:
 
     def __init__(
         self,
-        place: Place,
+        place: RunFolder,
         robot: RobotId,
         config: GateConfig,
         *,
@@ -64,13 +64,15 @@ class Lane:
         self.spool = Spool(place.run / SPOOL)
         self.first_spool = Spool(place.run / FIRST_SPOOL, most=MOST_FIRST_SPOOLED)
         known = left_by(self.first_spool, self.spool)
-        self.journal = Journal(next_epoch(place.run / EPOCH, _now().utc_ms, known), known)
-        self._desk = Desk(robot, config, own_uid=os.geteuid(), signer=signer, journal=self.journal)
+        self.journal = Backlog(next_epoch(place.run / EPOCH, _now().utc_ms, known), known)
+        self._desk = EStopDispatcher(
+            robot, config, own_uid=os.geteuid(), signer=signer, journal=self.journal
+        )
         self._listener, self._wake, self._say = place.listener, wake, say
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._listener, selectors.EVENT_READ)
         self._selector.register(self._wake, selectors.EVENT_READ)
-        self._lines: dict[Peer, socket.socket] = {}
+        self._lines: dict[EStopPeer, socket.socket] = {}
         self._ticked = self._said = 0
         self._fresh_ms: int | None = None
 
@@ -137,7 +139,7 @@ class Lane:
             self._selector.register(line, selectors.EVENT_READ, peer)
             self._flush(now)
 
-    def _serve(self, peer: Peer, events: int) -> None:
+    def _serve(self, peer: EStopPeer, events: int) -> None:
         line, now = self._lines.get(peer), _now()
         if line is None:
             return  # ended by another one's doing in this very turn
@@ -150,7 +152,7 @@ class Lane:
                 self._watch(peer, line)
         self._flush(now)
 
-    def _read(self, peer: Peer, line: socket.socket, now: Now) -> None:
+    def _read(self, peer: EStopPeer, line: socket.socket, now: Now) -> None:
         try:
             data = line.recv(CHUNK)
         except BlockingIOError:  # pragma: no cover - the kernel said that there is something
@@ -172,7 +174,7 @@ class Lane:
                 if line is not None:
                     self._push(peer, line, now)
 
-    def _push(self, peer: Peer, line: socket.socket, now: Now) -> None:
+    def _push(self, peer: EStopPeer, line: socket.socket, now: Now) -> None:
         try:
             if peer.out:
                 del peer.out[: line.send(peer.out)]
@@ -186,7 +188,7 @@ class Lane:
             return
         self._watch(peer, line)
 
-    def _watch(self, peer: Peer, line: socket.socket) -> None:
+    def _watch(self, peer: EStopPeer, line: socket.socket) -> None:
         """Wait for what this client can bring next; a client that has to wait is not read."""
         wanted = selectors.EVENT_READ if peer.is_heard else 0
         wanted |= selectors.EVENT_WRITE if peer.out else 0
@@ -199,7 +201,7 @@ class Lane:
         elif known.events != wanted:
             self._selector.modify(line, wanted, peer)
 
-    def _close(self, peer: Peer, now: Now) -> None:
+    def _close(self, peer: EStopPeer, now: Now) -> None:
         line = self._lines.pop(peer)
         with contextlib.suppress(KeyError):
             self._selector.unregister(line)

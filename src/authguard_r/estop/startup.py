@@ -28,7 +28,7 @@ from authguard_r.core.identifiers import RobotId
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.estop.run_folder import SOCKET, leave_place, take_place
-from authguard_r.estop.server import Lane
+from authguard_r.estop.server import EStopServer
 from authguard_r.keys.clock_floor import boot_ms, chain_ms, token_ms
 from authguard_r.keys.signer import FileSigner, read_signer
 from authguard_r.keys.trust import read_file, read_trust
@@ -42,7 +42,7 @@ _NICE = -10
 _UNDERSTOOD = b"2"
 
 
-class LaneFiles(Struct, frozen=True, kw_only=True):
+class EStopFiles(Struct, frozen=True, kw_only=True):
     """What a lane is started with.
 
     Args:
@@ -62,7 +62,7 @@ class LaneFiles(Struct, frozen=True, kw_only=True):
     config: Path
 
 
-class Ready(Struct, frozen=True, kw_only=True):
+class EStopReady(Struct, frozen=True, kw_only=True):
     """A lane that serves.
 
     Args:
@@ -120,8 +120,8 @@ def is_given(ask: Callable[[], object]) -> bool:
 
 
 def run_lane(
-    files: LaneFiles,
-    ready: Callable[[Ready], None],
+    files: EStopFiles,
+    ready: Callable[[EStopReady], None],
     favor: Callable[[], Favor] = ask_favor,
     *,
     of_gate: bool = False,
@@ -144,14 +144,14 @@ def run_lane(
     woken, waking = socket.socketpair()
     try:
         waking.settimeout(0)
-        lane = Lane(
+        lane = EStopServer(
             place, files.robot, config, signer=signer, wake=woken.fileno(), say=say_to_stderr
         )
         (files.run / CONFIG).write_text(config_digest(files))
         with _ended_by(waking.fileno(), signal.SIGTERM, signal.SIGINT):
             given = favor()
             ready(
-                Ready(
+                EStopReady(
                     ready=True,
                     robot=files.robot,
                     socket=str(files.run / SOCKET),
@@ -171,7 +171,7 @@ def run_lane(
         leave_place(place)
 
 
-def config_digest(files: LaneFiles) -> str:
+def config_digest(files: EStopFiles) -> str:
     """Return the SHA-256 of the configuration that a lane read: an older one is known by it.
 
     Raises:
@@ -187,7 +187,7 @@ def say_to_stderr(line: bytes) -> None:
             os.write(2, line)
 
 
-def _read(files: LaneFiles) -> tuple[FileSigner, GateConfig]:
+def _read(files: EStopFiles) -> tuple[FileSigner, GateConfig]:
     trust = read_trust(files.trust)
     signer = read_signer(files.key, files.cert)
     signed = read_file(files.config)

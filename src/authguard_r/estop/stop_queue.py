@@ -107,7 +107,7 @@ class Queue:
             del self._fresh[stop.n]
 
 
-class Journal:
+class Backlog:
     """The stops that are not recorded: the suspending ones, and the others.
 
     Args:

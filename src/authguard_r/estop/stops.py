@@ -23,7 +23,7 @@ REPEAT_MS = 100
 PATIENCE_MS = 1_000
 
 
-class Brake:
+class ControllerConnection:
     """One controller's connection, as far as stops go.
 
     Args:
@@ -63,7 +63,7 @@ class Brake:
         return True
 
 
-class Waiting(Struct, Generic[A], frozen=True, kw_only=True):
+class PendingStop(Struct, Generic[A], frozen=True, kw_only=True):
     """One stop that is under way.
 
     Args:
@@ -76,7 +76,7 @@ class Waiting(Struct, Generic[A], frozen=True, kw_only=True):
     asked: A
     begun_ms: int
     needs: int
-    brakes: tuple[Brake, ...]
+    brakes: tuple[ControllerConnection, ...]
 
     def is_confirmed(self) -> bool:
         """True when every controller has said that the robot stands."""
@@ -115,8 +115,8 @@ class Stops(Generic[A]):
 
     def __init__(self) -> None:
         self._wanted = 0
-        self._brakes: list[Brake] = []
-        self._waiting: deque[Waiting[A]] = deque()
+        self._brakes: list[ControllerConnection] = []
+        self._waiting: deque[PendingStop[A]] = deque()
         self._is_owed = False
         self.begun = 0
         self.over = 0
@@ -131,13 +131,13 @@ class Stops(Generic[A]):
         """True while somebody waits for an answer."""
         return bool(self._waiting)
 
-    def join(self, brake: Brake, now_ms: int) -> None:
+    def join(self, brake: ControllerConnection, now_ms: int) -> None:
         """Take a controller in; a stop that nobody has confirmed is the first it hears."""
         self._brakes.append(brake)
         if self._is_owed or self._waiting:
             brake.tell(self._wanted, now_ms)
 
-    def leave(self, brake: Brake) -> None:
+    def leave(self, brake: ControllerConnection) -> None:
         """Let a controller go."""
         brake.is_gone = True
         self._brakes.remove(brake)
@@ -152,10 +152,10 @@ class Stops(Generic[A]):
             if not brake.is_answering:
                 brake.tell(self._wanted, now_ms)
         self._waiting.append(
-            Waiting(asked=asked, begun_ms=now_ms, needs=self._wanted, brakes=brakes)
+            PendingStop(asked=asked, begun_ms=now_ms, needs=self._wanted, brakes=brakes)
         )
 
-    def stood(self, brake: Brake, number: int, *, said: Stood, now_ms: int) -> None:
+    def stood(self, brake: ControllerConnection, number: int, *, said: Stood, now_ms: int) -> None:
         """Take in a controller's answer, and send it what was asked for meanwhile."""
         if not brake.hear(number, said):
             return
@@ -176,7 +176,7 @@ class Stops(Generic[A]):
             over.append(self._settle(self._waiting.popleft(), now_ms))
         return over
 
-    def _settle(self, waiting: Waiting[A], now_ms: int) -> Settled[A]:
+    def _settle(self, waiting: PendingStop[A], now_ms: int) -> Settled[A]:
         self.over += 1
         stopped = waiting.is_confirmed()
         self._is_owed = self._is_owed or not stopped

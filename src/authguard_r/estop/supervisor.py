@@ -17,9 +17,9 @@ from contextlib import suppress
 from typing import Protocol
 
 from authguard_r.core.errors import AuthGuardError
-from authguard_r.estop.connection import LaneLink, start_lane
+from authguard_r.estop.connection import EStopConnection, start_lane
 from authguard_r.estop.run_folder import SOCKET, end_lane, is_of_gate, is_served, kill
-from authguard_r.estop.startup import CONFIG, LaneFiles, config_digest
+from authguard_r.estop.startup import CONFIG, EStopFiles, config_digest
 from authguard_r.wire.messages import StopHeard
 
 #: A lane that is gone is looked for this often, in seconds.
@@ -37,7 +37,7 @@ WITHIN_S = 0.3
 SILENT, REPLACED = 24, 40
 
 
-class Listener(Protocol):
+class StopListener(Protocol):
     """Who wants to hear of stops."""
 
     def stopped(self, heard: StopHeard) -> None:
@@ -58,17 +58,17 @@ class Listener(Protocol):
         ...
 
 
-class LaneKeeper:
+class EStopSupervisor:
     """One robot's stop lane, as its gate keeps it.
 
     Args:
         files: what a lane is started with.
     """
 
-    def __init__(self, files: LaneFiles) -> None:
+    def __init__(self, files: EStopFiles) -> None:
         self._files = files
         self._started: list[subprocess.Popen[bytes]] = []
-        self._link: LaneLink | None = None
+        self._link: EStopConnection | None = None
         self._asked_s: float | None = None  # when it was asked what it has not answered
         self._answered_s = -math.inf  # when it was asked what it answered last
         self._looks = 0  # without an answer
@@ -116,7 +116,7 @@ class LaneKeeper:
         self._link.sync(done)
         return True
 
-    async def keep(self, listener: Listener, connected: Callable[[], None]) -> None:
+    async def keep(self, listener: StopListener, connected: Callable[[], None]) -> None:
         """Be connected, and again whenever the connection was lost, until canceled.
 
         Args:
@@ -139,7 +139,7 @@ class LaneKeeper:
                 close()
             await self._restart()
 
-    async def _watch(self, listener: Listener, lost: asyncio.Event) -> None:
+    async def _watch(self, listener: StopListener, lost: asyncio.Event) -> None:
         """Ask the lane whether it is there, again and again, until the connection is lost."""
         self._asked_s, is_told = None, False
         listener.lane_silent(is_silent=False)
@@ -175,7 +175,7 @@ class LaneKeeper:
         if time.monotonic() - self._answered_s > ASK_S:  # this process was late, not the lane
             self._ask_again()
 
-    async def _connect(self, listener: Listener, lost: asyncio.Event) -> Callable[[], None]:
+    async def _connect(self, listener: StopListener, lost: asyncio.Event) -> Callable[[], None]:
         """Return what says that the last stops are recorded, and lets go of the lane."""
         recorded: list[int] = []
 
@@ -208,7 +208,7 @@ class LaneKeeper:
             link.close()
 
         loop = asyncio.get_running_loop()
-        link = LaneLink(self._files.run / SOCKET, on_stop, on_lost)
+        link = EStopConnection(self._files.run / SOCKET, on_stop, on_lost)
         await link.connect()
         self._link = link
         return close
@@ -223,7 +223,7 @@ class LaneKeeper:
             await asyncio.sleep(RETRY_S)
 
 
-def retire_stale(files: LaneFiles) -> None:
+def retire_stale(files: EStopFiles) -> None:
     """End a lane that serves by another configuration than this one: its users are not these.
 
     Raises:
@@ -233,7 +233,7 @@ def retire_stale(files: LaneFiles) -> None:
         end_lane(files.run)
 
 
-def _config_of(files: LaneFiles) -> str | None:
+def _config_of(files: EStopFiles) -> str | None:
     try:
         return (files.run / CONFIG).read_text()
     except OSError:

@@ -40,19 +40,31 @@ from authguard_r.frost.curve import (
     total,
 )
 from authguard_r.frost.keys import require_share
-from authguard_r.frost.messages import Contribution, Group, Offer, Plan, Secret, Share, digest
+from authguard_r.frost.messages import (
+    Contribution,
+    Group,
+    KeyGenerationPlan,
+    Offer,
+    Secret,
+    Share,
+    digest,
+)
 
 
-def plan(name: PrincipalId, members: tuple[PrincipalId, ...], *, threshold: int) -> Plan:
+def plan(
+    name: PrincipalId, members: tuple[PrincipalId, ...], *, threshold: int
+) -> KeyGenerationPlan:
     """Return a plan for everybody to begin with.
 
     Raises:
         ValueError: no group can be made of this.
     """
-    return Plan(id=name, threshold=threshold, members=members, nonce=b64(token_bytes(32)))
+    return KeyGenerationPlan(
+        id=name, threshold=threshold, members=members, nonce=b64(token_bytes(32))
+    )
 
 
-def begin(agreed: Plan, identifier: int) -> tuple[Secret, Offer]:
+def begin(agreed: KeyGenerationPlan, identifier: int) -> tuple[Secret, Offer]:
     """Return a member's secret of this key generation, and its offer to everybody.
 
     Raises:
@@ -161,7 +173,7 @@ def challenge(identifier: int, opened: Point, commitment: Point, context: bytes 
     return h_dkg(number(identifier) + opened + commitment + context)
 
 
-def _fault(agreed: Plan, offer: Offer) -> str | None:
+def _fault(agreed: KeyGenerationPlan, offer: Offer) -> str | None:
     """Return what is wrong with an offer, as the end of a sentence."""
     if offer.plan != digest(agreed):
         return "is for another plan"
@@ -193,7 +205,7 @@ def _opened(secret: Secret, item: Contribution, offer: Offer, seen: Digest) -> S
     return part
 
 
-def _group(agreed: Plan, commitment: list[Point]) -> Group:
+def _group(agreed: KeyGenerationPlan, commitment: list[Point]) -> Group:
     try:
         return Group(
             id=agreed.id,
@@ -225,6 +237,6 @@ def _context(agreed: Digest, box: bytes) -> bytes:
     return unb64(agreed) + box
 
 
-def _cheat(message: str, agreed: Plan, place: int) -> AuthenticityError:
+def _cheat(message: str, agreed: KeyGenerationPlan, place: int) -> AuthenticityError:
     where = f"dkg.{agreed.members[place - 1]}"
     return AuthenticityError(message, reason=Reason.KEY_INVALID, where=where)

@@ -89,7 +89,7 @@ class Share(
         return f"Share({self.group.id!r}, {self.identifier})"
 
 
-class Plan(
+class KeyGenerationPlan(
     Struct,
     frozen=True,
     forbid_unknown_fields=True,
@@ -191,7 +191,7 @@ class Secret(
         box: the private half of the member's X25519 key.
     """
 
-    plan: Plan
+    plan: KeyGenerationPlan
     identifier: Identifier
     coefficients: Numbers
     box: Number
@@ -241,7 +241,7 @@ class Ballot(
             raise ValueError("expected the situation that the approval names by its digest")
 
 
-class Commitment(
+class NonceCommitment(
     Struct,
     frozen=True,
     forbid_unknown_fields=True,
@@ -284,7 +284,7 @@ class Nonces(
         binding: a scalar.
     """
 
-    commitment: Commitment
+    commitment: NonceCommitment
     hiding: Number
     binding: Number
 
@@ -329,12 +329,12 @@ class SignatureShare(
 File = (
     Group
     | Share
-    | Plan
+    | KeyGenerationPlan
     | Offer
     | Contribution
     | Secret
     | Ballot
-    | Commitment
+    | NonceCommitment
     | Nonces
     | SignatureShare
 )

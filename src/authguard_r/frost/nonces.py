@@ -13,7 +13,7 @@ from pathlib import Path
 
 from authguard_r.core.errors import RefusedError, StoreError
 from authguard_r.core.reasons import Reason
-from authguard_r.frost.messages import Commitment, Nonces, digest, read, written
+from authguard_r.frost.messages import NonceCommitment, Nonces, digest, read, written
 
 
 class NonceStore:
@@ -39,7 +39,7 @@ class NonceStore:
         if mode & 0o077:
             raise StoreError(f"expected `{folder}` to be its owner's alone", where=str(folder))
 
-    def put(self, nonces: Nonces) -> Commitment:
+    def put(self, nonces: Nonces) -> NonceCommitment:
         """Return the commitment to hand out, once its nonces are on the disk.
 
         Raises:
@@ -49,7 +49,7 @@ class NonceStore:
         write_new(path, written(nonces))
         return nonces.commitment
 
-    def take(self, commitment: Commitment) -> Nonces:
+    def take(self, commitment: NonceCommitment) -> Nonces:
         """Return the nonces behind a commitment, for the one use that they have.
 
         Raises:
@@ -79,7 +79,7 @@ class NonceStore:
             raise _broken(path, error) from error
         return read(data, Nonces, where="nonces")
 
-    def _path(self, commitment: Commitment, kind: str) -> Path:
+    def _path(self, commitment: NonceCommitment, kind: str) -> Path:
         return self._folder / f"{digest(commitment)}.{kind}"
 
 

@@ -39,17 +39,10 @@ from authguard_r.frost.curve import (
     total,
 )
 from authguard_r.frost.keys import member, public_key, verification_share
-from authguard_r.frost.messages import (
-    Commitment,
-    Group,
-    Nonces,
-    Share,
-    SignatureShare,
-    digest,
-)
+from authguard_r.frost.messages import Group, NonceCommitment, Nonces, Share, SignatureShare, digest
 
 
-class Session(Struct, frozen=True, kw_only=True):
+class SigningSession(Struct, frozen=True, kw_only=True):
     """What all shares of one signature have in common. Made by `begin` only.
 
     Args:
@@ -64,7 +57,7 @@ class Session(Struct, frozen=True, kw_only=True):
 
     group: Group
     message: bytes
-    commitments: tuple[Commitment, ...]
+    commitments: tuple[NonceCommitment, ...]
     factors: tuple[Scalar, ...]
     commitment: Point
     challenge: Scalar
@@ -86,7 +79,7 @@ def new_nonces(share: Share, *, randomness: tuple[bytes, bytes] | None = None) -
     first, second = randomness or (token_bytes(32), token_bytes(32))
     secret = scalar(share.secret)
     hiding, binding = h3(first + secret), h3(second + secret)
-    commitment = Commitment(
+    commitment = NonceCommitment(
         group=digest(share.group),
         identifier=share.identifier,
         hiding=spelled(base(hiding)),
@@ -95,7 +88,7 @@ def new_nonces(share: Share, *, randomness: tuple[bytes, bytes] | None = None) -
     return Nonces(commitment=commitment, hiding=spelled(hiding), binding=spelled(binding))
 
 
-def begin(group: Group, commitments: tuple[Commitment, ...], message: bytes) -> Session:
+def begin(group: Group, commitments: tuple[NonceCommitment, ...], message: bytes) -> SigningSession:
     """Return the session of these commitments and this message.
 
     Args:
@@ -123,7 +116,7 @@ def begin(group: Group, commitments: tuple[Commitment, ...], message: bytes) -> 
         for (hiding, binding), factor in zip(points, factors, strict=True)
     )
     hashed = sha256(b"authguard-r/frost/session/1\0" + sha256(message).digest() + encode(ordered))
-    return Session(
+    return SigningSession(
         group=group,
         message=message,
         commitments=ordered,
@@ -134,7 +127,7 @@ def begin(group: Group, commitments: tuple[Commitment, ...], message: bytes) -> 
     )
 
 
-def sign(session: Session, share: Share, nonces: Nonces) -> SignatureShare:
+def sign(session: SigningSession, share: Share, nonces: Nonces) -> SignatureShare:
     """(5.2) Return the member's part of the signature. The nonces are spent from here on.
 
     Raises:
@@ -159,7 +152,7 @@ def sign(session: Session, share: Share, nonces: Nonces) -> SignatureShare:
     )
 
 
-def verify_share(session: Session, item: SignatureShare) -> None:
+def verify_share(session: SigningSession, item: SignatureShare) -> None:
     """(5.4) Require that a member's part of the signature holds.
 
     Raises:
@@ -179,7 +172,7 @@ def verify_share(session: Session, item: SignatureShare) -> None:
         raise _cheat(f"the share of `{name}` does not hold", name)
 
 
-def aggregate(session: Session, shares: tuple[SignatureShare, ...]) -> bytes:
+def aggregate(session: SigningSession, shares: tuple[SignatureShare, ...]) -> bytes:
     """(5.3) Return the group's signature: 64 bytes, plain Ed25519.
 
     The whole is verified first, which costs one verification; only when it does not hold is each
@@ -206,7 +199,7 @@ def aggregate(session: Session, shares: tuple[SignatureShare, ...]) -> bytes:
     raise _cheat("the signature does not hold", session.group.id)  # pragma: no cover - cannot be
 
 
-def _require_commitments(group: Group, ordered: tuple[Commitment, ...]) -> None:
+def _require_commitments(group: Group, ordered: tuple[NonceCommitment, ...]) -> None:
     named = {item.identifier for item in ordered}
     if len(named) != len(ordered):
         raise MalformedError("expected one commitment of a member", where="commitments")

@@ -40,7 +40,7 @@ _COLUMNS = 64
 _MEND = "restore the file from a copy, or ask for a new key"
 
 
-class Header(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class EnvelopeHeader(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """How a file was sealed; whoever wrote the file chose it, within these bounds.
 
     Args:
@@ -73,7 +73,7 @@ class Envelope(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """
 
     ciphertext: str
-    header: Header
+    header: EnvelopeHeader
 
 
 class _Format(Struct, frozen=True):
@@ -107,7 +107,7 @@ def seal(pem: bytes, passphrase: str) -> bytes:
             f"expected at least {MIN_PASSPHRASE} characters; take several words",
             where="passphrase",
         )
-    header = Header(
+    header = EnvelopeHeader(
         cipher="aes-256-gcm",
         format=_FORMAT,
         kdf="argon2id",
@@ -193,7 +193,7 @@ def _require_format(text: bytes, *, where: str) -> None:
         )
 
 
-def _derive(header: Header, passphrase: str, *, where: str) -> bytes:
+def _derive(header: EnvelopeHeader, passphrase: str, *, where: str) -> bytes:
     """Return the key that a passphrase makes; however it was typed, the same text is the same."""
     if not 0 < len(passphrase) <= MAX_PASSPHRASE:
         raise MalformedError(
@@ -220,7 +220,7 @@ def _derive(header: Header, passphrase: str, *, where: str) -> bytes:
         ) from error
 
 
-def _authenticated(header: Header) -> bytes:
+def _authenticated(header: EnvelopeHeader) -> bytes:
     return _DOMAIN + encode(header)
 
 

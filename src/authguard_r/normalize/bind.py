@@ -25,9 +25,9 @@ from authguard_r.normalize.binding import (
     REGION,
     STOPS,
     Argument,
+    ArgumentUse,
     Binding,
     ToolBinding,
-    Use,
     Ways,
     binding_digest,
     is_index,
@@ -67,7 +67,7 @@ class _Form(Struct, frozen=True):
     readers: tuple[tuple[str, str, str, Reader, int | None, bool], ...]
 
 
-class _Way(Struct, frozen=True):
+class _BoundWay(Struct, frozen=True):
     """One way of a tool, worked out once.
 
     Args:
@@ -158,7 +158,7 @@ class Binder:
         """Return the channel of what an action brings to light: of several, the least trusted."""
         return self._results.get((action.type, action.tool), UNTOLD)
 
-    def _choose(self, call: Call) -> _Way:
+    def _choose(self, call: Call) -> _BoundWay:
         """Return the one way that the call is; ways of a tool exclude each other."""
         found = self._tools.get(call.tool)
         if found is None:
@@ -179,13 +179,13 @@ class Binder:
             call.where + _suffix(path),
         )
 
-    def _way(self, tool: ToolBinding) -> _Way:
+    def _way(self, tool: ToolBinding) -> _BoundWay:
         kind = self._site.vocabulary[tool.type]
         targets = {*tool.fixed, *(argument.to for argument in tool.arguments.values())}
         form = self._form(tool.arguments, tool.when, kind)
         params = tuple((name, f"params.{name}") for name in sorted(kind.params))
         held = tuple((name, target) for name, target in params if target in targets)
-        return _Way(tool, kind, form, not targets.isdisjoint({STOPS, POSE[0]}), held)
+        return _BoundWay(tool, kind, form, not targets.isdisjoint({STOPS, POSE[0]}), held)
 
     def _form(
         self, arguments: dict[str, Argument], when: dict[str, Constant], kind: ActionModel
@@ -199,7 +199,7 @@ class Binder:
             readers=tuple(
                 (path, _suffix(path), a.to, self._reader(a, kind), a.default, _is_needed(a))
                 for path, a in arguments.items()
-                if a.use is not Use.NOTED
+                if a.use is not ArgumentUse.NOTED
             ),
         )
 
@@ -237,9 +237,9 @@ class Binder:
 
     def _reader(self, argument: Argument, kind: ActionModel) -> Reader:
         """Return what turns a planner's value, at a place, into the argument's target."""
-        if argument.use is Use.REFUSED:
+        if argument.use is ArgumentUse.REFUSED:
             return _refuse
-        if argument.use is Use.FIXED:
+        if argument.use is ArgumentUse.FIXED:
             return _constant(argument.constant())
         if argument.each:
             return self._list(argument, kind)
@@ -285,7 +285,7 @@ class Binder:
 
 def _is_needed(argument: Argument) -> bool:
     """True when a call that leaves the argument out is refused, unless something is carried."""
-    return argument.use is not Use.REFUSED and not argument.optional
+    return argument.use is not ArgumentUse.REFUSED and not argument.optional
 
 
 def look(arguments: Any, path: str) -> Any:

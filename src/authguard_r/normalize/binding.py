@@ -29,7 +29,7 @@ from authguard_r.core.identifiers import (
     ToolId,
 )
 from authguard_r.core.reasons import Reason
-from authguard_r.normalize.expected import DECIMAL, Constant, Match, match_fault, same
+from authguard_r.normalize.expected import DECIMAL, AnswerMatch, Constant, match_fault, same
 from authguard_r.site.channels import channel_labels
 from authguard_r.site.model import ActionModel, Site
 
@@ -47,7 +47,7 @@ STOPS = "stops"
 REGION = "region"
 
 
-class Use(StrEnum):
+class ArgumentUse(StrEnum):
     """What becomes of an argument."""
 
     MAPPED = "mapped"
@@ -77,7 +77,7 @@ class Argument(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=Tr
         each: of a list of places: the fields of one.
     """
 
-    use: Use
+    use: ArgumentUse
     to: str = ""
     per_unit: str = "1"
     offset: Integer = 0
@@ -135,8 +135,8 @@ class ToolBinding(
     message: str = ""
     body: str = ""
     result: str = ""
-    succeeds: dict[str, Constant | Match] = {}
-    fails: dict[str, Constant | Match] = {}
+    succeeds: dict[str, Constant | AnswerMatch] = {}
+    fails: dict[str, Constant | AnswerMatch] = {}
     noted: str = ""
 
 
@@ -159,7 +159,7 @@ class Binding(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=Tru
     tools: dict[str, ToolBinding | Ways]
 
 
-class Way(Struct, frozen=True):
+class ToolWay(Struct, frozen=True):
     """One way of one tool: the tool's external name, the place in the binding, what it says."""
 
     name: str
@@ -167,17 +167,17 @@ class Way(Struct, frozen=True):
     tool: ToolBinding
 
 
-def ways(binding: Binding) -> tuple[Way, ...]:
+def ways(binding: Binding) -> tuple[ToolWay, ...]:
     """Return every way of every tool, in the order in which the binding names them."""
     return tuple(way for name in binding.tools for way in ways_of(binding, name))
 
 
-def ways_of(binding: Binding, name: str) -> tuple[Way, ...]:
+def ways_of(binding: Binding, name: str) -> tuple[ToolWay, ...]:
     """Return the ways of one tool."""
     found = binding.tools[name]
     if isinstance(found, ToolBinding):
-        return (Way(name, f"tools.{name}", found),)
-    return tuple(Way(name, f"tools.{name}[{n}]", tool) for n, tool in enumerate(found))
+        return (ToolWay(name, f"tools.{name}", found),)
+    return tuple(ToolWay(name, f"tools.{name}[{n}]", tool) for n, tool in enumerate(found))
 
 
 def effect_of(tool: ToolBinding) -> str:
@@ -228,7 +228,7 @@ def binding_faults(binding: Binding, site: Site) -> Iterator[tuple[str, str]]:
 
 def _effect_faults(binding: Binding, site: Site) -> Iterator[tuple[str, str]]:
     """A refusal of one way is none while another way to the same effect has another name."""
-    movers: dict[str, list[Way]] = {}
+    movers: dict[str, list[ToolWay]] = {}
     for way in ways(binding):
         kind, effect = site.vocabulary.get(way.tool.type), effect_of(way.tool)
         if not effect or kind is None or kind.state_writing:  # the last move nothing, ever
@@ -314,7 +314,7 @@ def is_index(name: str) -> bool:
 
 
 def _argument_faults(argument: Argument) -> Iterator[tuple[str, str]]:
-    mapped = argument.use is Use.MAPPED
+    mapped = argument.use is ArgumentUse.MAPPED
     if mapped != bool(argument.to):
         yield "to", "expected a target exactly when it is mapped"
     if not _is_factor(argument.per_unit):
@@ -323,7 +323,9 @@ def _argument_faults(argument: Argument) -> Iterator[tuple[str, str]]:
         yield "decimal", "expected a number that is not whole, such as `0.1`"
         return
     settled = argument.constant() is not None
-    if settled != (argument.use is Use.FIXED) and not (settled and argument.use is Use.NOTED):
+    if settled != (argument.use is ArgumentUse.FIXED) and not (
+        settled and argument.use is ArgumentUse.NOTED
+    ):
         yield "value", "expected a value of a fixed or noted argument only, and of every fixed one"
     if argument.decimal and argument.value is not None:
         yield "decimal", "expected a `value` or a `decimal`"
@@ -365,7 +367,7 @@ def origins(tool: ToolBinding, *, always: bool = False) -> Iterator[str]:
     mapped = [
         argument.to
         for argument in tool.arguments.values()
-        if argument.use is Use.MAPPED
+        if argument.use is ArgumentUse.MAPPED
         and not (always and argument.optional and argument.default is None)
     ]
     for target in (*tool.fixed, *tool.attested, *mapped):

@@ -24,7 +24,9 @@ Constant = bool | Integer | str
 TEXT = "$text"
 
 
-class Match(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
+class AnswerMatch(
+    Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True
+):
     """What a text, or a number, of a tool's answer has to be; all that is said has to hold.
 
     Args:
@@ -45,8 +47,8 @@ class Match(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True,
 class Expected(Struct, frozen=True):
     """What the answer of a call is held to (`ToolBinding.succeeds` and `.fails`)."""
 
-    succeeds: dict[str, Constant | Match] = {}
-    fails: dict[str, Constant | Match] = {}
+    succeeds: dict[str, Constant | AnswerMatch] = {}
+    fails: dict[str, Constant | AnswerMatch] = {}
 
 
 def same(value: Any, constant: Constant | Decimal | None) -> bool:
@@ -56,11 +58,11 @@ def same(value: Any, constant: Constant | Decimal | None) -> bool:
     return bool(value == constant)
 
 
-def match_fault(path: str, match: Constant | Match) -> str:
+def match_fault(path: str, match: Constant | AnswerMatch) -> str:
     """Return what is wrong with what a path is held to, empty when nothing is."""
-    if not isinstance(match, Match):
+    if not isinstance(match, AnswerMatch):
         return "" if path != TEXT else "expected `contains`, `starts_with`, `equals` or a range"
-    if match == Match():
+    if match == AnswerMatch():
         return "expected at least one of `contains`, `starts_with`, `equals`, `at_least`, `at_most`"
     if match.equals != match.equals.strip() or match.starts_with != match.starts_with.lstrip():
         return "expected no white space around it: that of the answer is not looked at"
@@ -70,7 +72,7 @@ def match_fault(path: str, match: Constant | Match) -> str:
     return ""
 
 
-def matches(value: Any, wanted: Match) -> bool:
+def matches(value: Any, wanted: AnswerMatch) -> bool:
     """True of a text or a number that is as wanted; anything else, and none, is not."""
     text = value.strip() if isinstance(value, str) else None
     if wanted.equals or wanted.starts_with or wanted.contains:

@@ -18,10 +18,10 @@ from msgspec import Struct
 from authguard_r.core.errors import MalformedError
 from authguard_r.normalize.binding import (
     Argument,
+    ArgumentUse,
     Binding,
     ToolBinding,
-    Use,
-    Way,
+    ToolWay,
     is_index,
     ways,
 )
@@ -164,7 +164,7 @@ def interface_faults(
             yield f"tools.{name}", "expected a tool that exists", False
 
 
-def uncompared(binding: Binding, surfaces: tuple[Surface, ...]) -> Iterator[Way]:
+def uncompared(binding: Binding, surfaces: tuple[Surface, ...]) -> Iterator[ToolWay]:
     """Yield the ways of which the interface says nothing: neither their tool nor their message."""
     for way in ways(binding):
         if not any(_is_of(way.name, way.tool, surface) for surface in surfaces):
@@ -202,7 +202,7 @@ def _paths(arguments: dict[str, Argument]) -> Iterator[tuple[tuple[str, ...], bo
         for (below, *_), whole in _paths(argument.each):
             yield (f"{path}.{ITEM}.{below}",), whole
         if not argument.each:
-            yield (path, *argument.also), argument.use in {Use.REFUSED, Use.NOTED}
+            yield (path, *argument.also), argument.use in {ArgumentUse.REFUSED, ArgumentUse.NOTED}
 
 
 def _covers(fields: dict[tuple[str, ...], bool], leaf: str, *, is_open: bool) -> bool:

@@ -22,10 +22,10 @@ from authguard_r.normalize.binding import (
     REGION,
     STOPS,
     Argument,
+    ArgumentUse,
     Binding,
     ToolBinding,
-    Use,
-    Way,
+    ToolWay,
     is_index,
     ways_of,
 )
@@ -54,7 +54,7 @@ class Rebuilder:
     def __init__(self, site: Site, binding: Binding) -> None:
         self._site = site
         self._places = Places(site)
-        self._ways: dict[tuple[ActionType, ToolId], list[Way]] = {}
+        self._ways: dict[tuple[ActionType, ToolId], list[ToolWay]] = {}
         for name in sorted(binding.tools):  # an order that the binding's digest covers
             for way in ways_of(binding, name):
                 self._ways.setdefault((way.tool.type, way.tool.tool), []).append(way)
@@ -106,7 +106,7 @@ class Rebuilder:
         """Return the value of each argument by its path; every field must have been used."""
         given: dict[str, Any] = {}
         for path, argument in arguments.items():
-            if argument.use is not Use.MAPPED:
+            if argument.use is not ArgumentUse.MAPPED:
                 if argument.constant() is not None:
                     given[path] = argument.constant()
             elif argument.to in fields:

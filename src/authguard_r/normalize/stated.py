@@ -23,7 +23,7 @@ from authguard_r.normalize.binding import Binding, ToolBinding
 from authguard_r.normalize.dialects import Call, Dialect, read_reply
 from authguard_r.normalize.parse import read_text
 from authguard_r.provenance.folding import fold
-from authguard_r.provenance.mentions import How, Mention, Names
+from authguard_r.provenance.mentions import Mention, MentionMatch, MentionNames
 from authguard_r.provenance.numerals import read_tokens
 from authguard_r.site.model import Site
 
@@ -309,10 +309,10 @@ def _exact(spelled: dict[str, str], text: str) -> Iterator[tuple[int, int]]:
     Of names within each other the longest counts; of names that share a word none does, nor does
     one that is part of what looks like another name.
     """
-    names, reach = Names(spelled), _NEAR * max(map(len, spelled), default=0)
+    names, reach = MentionNames(spelled), _NEAR * max(map(len, spelled), default=0)
     seen = names.find(text)
-    found = [m for m in seen if m.how is How.EXACT]
-    alike = {m.ids for m in seen if m.how is not How.EXACT}
+    found = [m for m in seen if m.how is MentionMatch.EXACT]
+    alike = {m.ids for m in seen if m.how is not MentionMatch.EXACT}
     for number, mention in enumerate(found):
         start, end = mention.start, mention.end
         near = (*found[max(0, number - 1) : number], *found[number + 1 : number + 2])
@@ -333,7 +333,7 @@ def _numbered(text: str, start: int, end: int) -> bool:
     return next(filter(_SHOWN.match, reversed(text[:start])), "").isnumeric()
 
 
-def _hidden(names: Names, text: str, mention: Mention, reach: int) -> bool:
+def _hidden(names: MentionNames, text: str, mention: Mention, reach: int) -> bool:
     """True when a name is part of what looks like another name: the one in `5taff Corridor`.
 
     Names may be found in other characters than those of the text, so that their places do not

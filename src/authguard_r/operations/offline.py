@@ -12,7 +12,7 @@ from authguard_r.core.errors import (
 )
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.lease import Lease
-from authguard_r.core.ports import Flight
+from authguard_r.core.ports import GoalHandle
 from authguard_r.keys.signer import folder_signer, gate_name
 from authguard_r.keys.trust import read_trust
 from authguard_r.safety import default_config, gate_of
@@ -32,7 +32,7 @@ class _NoRobot:
     def fence(self, number: int) -> None:
         """Do nothing: nothing is measured."""
 
-    def dispatch(self, action: Action, lease: Lease) -> Flight:  # noqa: ARG002
+    def dispatch(self, action: Action, lease: Lease) -> GoalHandle:  # noqa: ARG002
         """Refuse: there is no robot here.
 
         Raises:

@@ -21,7 +21,7 @@ from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Digest
 from authguard_r.core.provenance import Label, least_trusted
 from authguard_r.core.reasons import Reason
-from authguard_r.provenance.mentions import How, Names, Opening
+from authguard_r.provenance.mentions import MentionMatch, MentionNames, NameStart
 from authguard_r.provenance.numerals import read_tokens
 from authguard_r.site.channels import CHANNELS, channel_labels
 
@@ -63,7 +63,7 @@ class Influence(Struct, frozen=True, kw_only=True):
     channel: str
     label: Label
     evidence: Digest
-    how: How = How.EXACT
+    how: MentionMatch = MentionMatch.EXACT
 
 
 class _Input(Struct, frozen=True):
@@ -72,11 +72,11 @@ class _Input(Struct, frozen=True):
     evidence: Digest
 
 
-class _Named(Struct, frozen=True):
+class _NamedInput(Struct, frozen=True):
     """One input that named a value, and how."""
 
     source: _Input
-    how: How
+    how: MentionMatch
 
 
 class _Tail(Struct, frozen=True):
@@ -90,7 +90,7 @@ class _Tail(Struct, frozen=True):
 
     text: str = ""
     parts: tuple[tuple[_Input, int], ...] = ()
-    opening: Opening | None = None
+    opening: NameStart | None = None
 
     def within(self, start: int) -> tuple[_Input, ...]:
         """Return the inputs that have a part of what begins at `start`."""
@@ -107,7 +107,7 @@ class ContextLedger:
 
     Args:
         spellings: external spelling of each place and thing, with its id; or the same made ready
-            (`Names`), for whoever keeps many ledgers of one site.
+            (`MentionNames`), for whoever keeps many ledgers of one site.
         channels: a site's own channels (`channel_labels`).
 
     Raises:
@@ -115,13 +115,13 @@ class ContextLedger:
     """
 
     def __init__(
-        self, spellings: dict[str, str] | Names, *, channels: Mapping[str, str] | None = None
+        self, spellings: dict[str, str] | MentionNames, *, channels: Mapping[str, str] | None = None
     ) -> None:
         self._labels = channel_labels(channels or {})
-        self._names: dict[str, str] | Names = spellings
+        self._names: dict[str, str] | MentionNames = spellings
         self._base = Label.MODEL
-        self._named: dict[str, tuple[_Named, ...]] = {}
-        self._unread: tuple[_Named, ...] = ()
+        self._named: dict[str, tuple[_NamedInput, ...]] = {}
+        self._unread: tuple[_NamedInput, ...] = ()
         self._answers: dict[tuple[str, str], tuple[Influence, ...]] = {}
         self._recent: deque[_Tail] = deque(maxlen=WINDOW)
         self._last: dict[str, _Tail] = {}
@@ -147,15 +147,17 @@ class ContextLedger:
         data = text.encode("utf-8", "surrogatepass")
         noted = _Input(channel, label, digest(Tag.RAW, data))
         if len(data) > MAX_INPUT:
-            self._unread = _kept(self._unread, _Named(noted, How.UNREAD))
+            self._unread = _kept(self._unread, _NamedInput(noted, MentionMatch.UNREAD))
             raise MalformedError(
                 f"expected a text of at most {MAX_INPUT} bytes, got {len(data)}",
                 where="context.text",
                 reason=Reason.INPUT_TOO_LARGE,
             )
         names = self._names
-        if not isinstance(names, Names):  # most missions never hear a word: made when there is one
-            names = self._names = Names(names)
+        if not isinstance(
+            names, MentionNames
+        ):  # most missions never hear a word: made when there is one
+            names = self._names = MentionNames(names)
         for mention in names.find(text):
             self._note(mention.ids, noted, mention.how)
         self._look_across(names, noted, text)
@@ -196,12 +198,12 @@ class ContextLedger:
             )
         return known
 
-    def _note(self, ids: tuple[str, ...], source: _Input, how: How) -> None:
+    def _note(self, ids: tuple[str, ...], source: _Input, how: MentionMatch) -> None:
         """Keep that an input named these; a flood of others does not push the first ones out."""
         for item in ids:
-            self._named[item] = _kept(self._named.get(item, ()), _Named(source, how))
+            self._named[item] = _kept(self._named.get(item, ()), _NamedInput(source, how))
 
-    def _look_across(self, names: Names, source: _Input, text: str) -> None:
+    def _look_across(self, names: MentionNames, source: _Input, text: str) -> None:
         """Note names that begin in an earlier input and end in this one; keep this one's end."""
         head = _head(text)
         words = read_tokens(head)
@@ -214,7 +216,7 @@ class ContextLedger:
                 if mention.start < len(begun) < mention.end - 1:
                     parts = [part for tail in tails for part in tail.within(mention.start)]
                     for part in (*parts, source):
-                        self._note(mention.ids, part, How.SPLIT)
+                        self._note(mention.ids, part, MentionMatch.SPLIT)
         chain = self._recent[-1] if self._recent else _NOTHING
         own = self._last.get(source.channel, _NOTHING)
         self._recent.append(_extended(names, chain, source, text))
@@ -223,7 +225,7 @@ class ContextLedger:
         )
 
 
-def _kept(named: tuple[_Named, ...], new: _Named) -> tuple[_Named, ...]:
+def _kept(named: tuple[_NamedInput, ...], new: _NamedInput) -> tuple[_NamedInput, ...]:
     """Return the inputs to keep after one more: of each channel the first ones and the last."""
     if any(known.source == new.source for known in named):
         return named
@@ -240,7 +242,7 @@ def _head(text: str) -> str:
     return text[:end]
 
 
-def _extended(names: Names, tail: _Tail, source: _Input, text: str) -> _Tail:
+def _extended(names: MentionNames, tail: _Tail, source: _Input, text: str) -> _Tail:
     """Return the end of a row of inputs after one more, from where the earliest name may begin."""
     whole = f"{tail.text}\n{text}" if tail.text else text
     cut = max(0, len(whole) - _SPAN)

@@ -20,7 +20,7 @@ from msgspec import Struct
 from authguard_r.provenance.folding import loosen, skeleton
 from authguard_r.provenance.numerals import (
     ORDINAL,
-    Token,
+    ComparedToken,
     has_humps,
     is_number,
     joins,
@@ -34,7 +34,7 @@ _LIST = 32
 _LISTING = frozenset({"and", "or", "to", "through", "till", "until"})
 
 
-class How(StrEnum):
+class MentionMatch(StrEnum):
     """How near a mention is to the name: people read the nearer ones first.
 
     `unread` is no mention: the input was too long to be looked through.
@@ -59,13 +59,13 @@ class Mention(Struct, frozen=True, kw_only=True):
     """
 
     ids: tuple[str, ...]
-    how: How
+    how: MentionMatch
     start: int
     end: int
     is_sure: bool
 
 
-class Opening(Struct, frozen=True):
+class NameStart(Struct, frozen=True):
     """What may be the beginning of a name at the end of a text.
 
     Args:
@@ -77,7 +77,7 @@ class Opening(Struct, frozen=True):
     begun: tuple[str, ...]
 
 
-class Names:
+class MentionNames:
     """Every name of a site, made ready to be found in a text in time that grows with the text.
 
     Args:
@@ -107,7 +107,7 @@ class Names:
             found += _outermost(self._scan(loose, read_tokens(loose), is_written=False))
         return tuple(found)
 
-    def opening(self, text: str) -> Opening | None:
+    def opening(self, text: str) -> NameStart | None:
         """Return what the text's end may be the beginning of, for the next input to go on with."""
         tokens = read_tokens(text)[-_TAIL:]
         stop = len(tokens)
@@ -122,15 +122,17 @@ class Names:
         ]
         if not found:
             return None
-        return Opening(min(found)[0], tuple(dict.fromkeys(bare for _, bare in found)))
+        return NameStart(min(found)[0], tuple(dict.fromkeys(bare for _, bare in found)))
 
-    def goes_on(self, opening: Opening, first: Token) -> bool:
+    def goes_on(self, opening: NameStart, first: ComparedToken) -> bool:
         """True when a text that begins with this word may go on with what an earlier one began."""
         return is_number(first) or any(
             begun + first.skeleton in self._begun for begun in opening.begun
         )
 
-    def _scan(self, text: str, tokens: list[Token], *, is_written: bool) -> Iterator[Mention]:
+    def _scan(
+        self, text: str, tokens: list[ComparedToken], *, is_written: bool
+    ) -> Iterator[Mention]:
         for first in range(len(tokens)):
             best, reached = None, first
             for last, bare, folded in self._spans(tokens, first):
@@ -149,7 +151,7 @@ class Names:
                 yield best
                 yield from self._listed(tokens, first, reached)
 
-    def _listed(self, tokens: list[Token], first: int, last: int) -> Iterator[Mention]:
+    def _listed(self, tokens: list[ComparedToken], first: int, last: int) -> Iterator[Mention]:
         """Yield what further numbers after a name stand for: `stations 101, 102 and 103`."""
         stem = _joined(tokens[first:last])
         if not stem or not tokens[last].text.isdigit():
@@ -159,11 +161,11 @@ class Names:
             ids = tuple(self._ids.get(skeleton(folded), {}).get(folded, ()))
             if token.text.isdigit() and ids:
                 start, end = tokens[first].start, token.end
-                yield Mention(ids=ids, how=How.VARIANT, start=start, end=end, is_sure=True)
+                yield Mention(ids=ids, how=MentionMatch.VARIANT, start=start, end=end, is_sure=True)
             elif not token.text.isdigit() and token.text not in _LISTING:
                 return
 
-    def _spans(self, tokens: list[Token], first: int) -> Iterator[tuple[int, str, str]]:
+    def _spans(self, tokens: list[ComparedToken], first: int) -> Iterator[tuple[int, str, str]]:
         """Yield, as long as a name may come of it, the last token and what the span spells."""
         bare = folded = ""
         for last in range(first, len(tokens)):
@@ -182,17 +184,19 @@ class Names:
             dict.fromkeys(item for name in known if _passes(folded, name) for item in known[name])
         )
 
-    def _how(self, written: str, tokens: list[Token], *, is_written: bool) -> How:
+    def _how(self, written: str, tokens: list[ComparedToken], *, is_written: bool) -> MentionMatch:
         if is_written and _spaced(written) in self._exact:
-            return How.EXACT
-        return How.NUMBER if any(token.changed for token in tokens) else How.VARIANT
+            return MentionMatch.EXACT
+        return (
+            MentionMatch.NUMBER if any(token.changed for token in tokens) else MentionMatch.VARIANT
+        )
 
 
 def _spaced(text: str) -> str:
     return " ".join(text.casefold().split())
 
 
-def _keys(tokens: list[Token]) -> Iterator[str]:
+def _keys(tokens: list[ComparedToken]) -> Iterator[str]:
     """Yield the ways to say a name: as it is, and its number as an ordinal or one of several."""
     yield _joined(tokens)
     for number, rest in ((tokens[-1:], tokens[:-1]), (tokens[:1], tokens[1:])):
@@ -203,7 +207,7 @@ def _keys(tokens: list[Token]) -> Iterator[str]:
             yield f"{words}s{digits}"
 
 
-def _joined(tokens: list[Token]) -> str:
+def _joined(tokens: list[ComparedToken]) -> str:
     return "".join(token.text for token in tokens)
 
 

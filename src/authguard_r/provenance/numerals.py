@@ -72,7 +72,7 @@ _IRREGULAR = {
 }
 
 
-class Token(Struct, frozen=True, kw_only=True):
+class ComparedToken(Struct, frozen=True, kw_only=True):
     """One word of a text as it is compared.
 
     Args:
@@ -112,7 +112,7 @@ def _words() -> dict[str, _Word]:
 _NUMBERS = _words()
 
 
-def read_tokens(text: str) -> list[Token]:
+def read_tokens(text: str) -> list[ComparedToken]:
     """Return the words of a text in order, numbers read, in time that grows with the text."""
     return _without_fillers(_numbered(_cut(text)))
 
@@ -122,7 +122,7 @@ def has_humps(text: str) -> bool:
     return _HUMP.search(text) is not None
 
 
-def joins(one: Token, other: Token) -> bool:
+def joins(one: ComparedToken, other: ComparedToken) -> bool:
     """True when the two, side by side in a text, may be parts of one name.
 
     Digits join digits only one by one (`1 0 3`) or when they were spoken (`one twenty-three`):
@@ -136,14 +136,14 @@ def joins(one: Token, other: Token) -> bool:
     return True
 
 
-def is_number(token: Token) -> bool:
+def is_number(token: ComparedToken) -> bool:
     """True for a number in digits or words, `hundred and` included."""
     return token.text[0].isdigit() or token.text == "and" or token.text in _FILLERS
 
 
-def _cut(text: str) -> list[Token]:
-    tokens: list[Token] = []
-    known: dict[str, list[Token]] = {}  # a word that comes often is read once
+def _cut(text: str) -> list[ComparedToken]:
+    tokens: list[ComparedToken] = []
+    known: dict[str, list[ComparedToken]] = {}  # a word that comes often is read once
     last = 0
     for match in _WORD.finditer(text):
         begin, end = match.span()
@@ -152,7 +152,7 @@ def _cut(text: str) -> list[Token]:
             known[word] = _parts(word)
         apart = _SENTENCE.search(text, last, begin) is not None
         tokens += [
-            Token(
+            ComparedToken(
                 text=part.text,
                 skeleton=part.skeleton,
                 start=begin + part.start,
@@ -166,14 +166,16 @@ def _cut(text: str) -> list[Token]:
     return tokens
 
 
-def _parts(word: str) -> list[Token]:
+def _parts(word: str) -> list[ComparedToken]:
     """Return the parts of one word, at their places in it."""
-    parts: list[Token] = []
+    parts: list[ComparedToken] = []
     for start, end in _humps(word):
         text = _compared(word[start:end])
         if text:
             bones, changed = skeleton(text), text.endswith(ORDINAL)
-            parts.append(Token(text=text, skeleton=bones, start=start, end=end, changed=changed))
+            parts.append(
+                ComparedToken(text=text, skeleton=bones, start=start, end=end, changed=changed)
+            )
     return parts
 
 
@@ -194,9 +196,9 @@ def _compared(written: str) -> str:
     return folded if suffixed is None else suffixed[1] + ORDINAL
 
 
-def _numbered(tokens: list[Token]) -> list[Token]:
+def _numbered(tokens: list[ComparedToken]) -> list[ComparedToken]:
     """Put one token in the place of the words of each spoken number."""
-    found: list[Token] = []
+    found: list[ComparedToken] = []
     at = 0
     while at < len(tokens):
         begin = tokens[at]
@@ -207,7 +209,7 @@ def _numbered(tokens: list[Token]) -> list[Token]:
             continue
         text = f"{value}{ORDINAL if ordinal else ''}"
         found.append(
-            Token(
+            ComparedToken(
                 text=text,
                 skeleton=skeleton(text),
                 start=begin.start,
@@ -221,7 +223,7 @@ def _numbered(tokens: list[Token]) -> list[Token]:
     return found
 
 
-def _number(tokens: list[Token], at: int) -> tuple[int, int, bool]:
+def _number(tokens: list[ComparedToken], at: int) -> tuple[int, int, bool]:
     """Return the end, value and kind of the longest number said at `at`; no words, no number."""
     total = part = 0
     first = at
@@ -257,7 +259,7 @@ def _fits(total: int, part: int, value: int, *, begins: bool) -> bool:
     return value > 0 and (part % 100 == 0 or (value < 10 and part % 10 == 0 and part % 100 >= 20))
 
 
-def _is_and(tokens: list[Token], at: int, total: int, part: int) -> bool:
+def _is_and(tokens: list[ComparedToken], at: int, total: int, part: int) -> bool:
     """True for the `and` of `hundred and three`."""
     if at >= len(tokens) or tokens[at].text != "and":
         return False
@@ -265,18 +267,18 @@ def _is_and(tokens: list[Token], at: int, total: int, part: int) -> bool:
     return value is not None and value < 100 and _fits(total, part, value, begins=False)
 
 
-def _word(tokens: list[Token], at: int) -> _Word | None:
+def _word(tokens: list[ComparedToken], at: int) -> _Word | None:
     if at >= len(tokens) or tokens[at].text.isdigit():
         return None
     return _NUMBERS.get(tokens[at].skeleton)
 
 
-def _value(tokens: list[Token], at: int) -> int | None:
+def _value(tokens: list[ComparedToken], at: int) -> int | None:
     word = _word(tokens, at)
     return None if word is None else word.value
 
 
-def _among_numbers(found: list[Token], tokens: list[Token], at: int) -> bool:
+def _among_numbers(found: list[ComparedToken], tokens: list[ComparedToken], at: int) -> bool:
     """True when a number stands before or after: `oh` and `o` are a zero only there."""
     if found and found[-1].text[-1].isdigit():
         return True
@@ -285,10 +287,10 @@ def _among_numbers(found: list[Token], tokens: list[Token], at: int) -> bool:
     )
 
 
-def _without_fillers(tokens: list[Token]) -> list[Token]:
+def _without_fillers(tokens: list[ComparedToken]) -> list[ComparedToken]:
     """Leave out the `number` of `Station number 103`."""
-    found: list[Token] = []
-    left_out: Token | None = None
+    found: list[ComparedToken] = []
+    left_out: ComparedToken | None = None
     for place, token in enumerate(tokens):
         after = tokens[place + 1] if place + 1 < len(tokens) else None
         if token.text in _FILLERS and after is not None and after.text[0].isdigit():

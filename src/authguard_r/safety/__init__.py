@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from authguard_r.safety.combined import Together, gate_of
 from authguard_r.safety.config import (
-    Checker,
+    ExternalChecker,
     Rule,
     SafetyConfig,
     default_config,
@@ -21,8 +21,8 @@ from authguard_r.safety.signed import open_config
 from authguard_r.safety.temporal import TemporalGate
 
 __all__ = [
-    "Checker",
     "EnvelopeGate",
+    "ExternalChecker",
     "ExternalGate",
     "Rule",
     "SafetyConfig",

@@ -76,7 +76,9 @@ class Rule(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, 
     message: Line | None = None
 
 
-class Checker(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
+class ExternalChecker(
+    Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True
+):
     """Another process that has to agree to every action.
 
     Args:
@@ -136,7 +138,7 @@ class SafetyConfig(
     paced: dict[ActionType, Count] = {}
     in_place: tuple[ActionType, ...] = ()
     rules: tuple[Rule, ...] = ()
-    checker: Checker | None = None
+    checker: ExternalChecker | None = None
 
 
 def safety_digest(config: SafetyConfig) -> Digest:

@@ -25,7 +25,7 @@ from authguard_r.core.identifiers import Digest, Identifier
 from authguard_r.core.quantities import Now, to_timestamp
 from authguard_r.core.safety import Hazard, SafetyDecision, SafetyFinding
 from authguard_r.core.state import AttestedState
-from authguard_r.safety.config import Checker
+from authguard_r.safety.config import ExternalChecker
 
 #: The protocol's name and version; another one is not spoken.
 PROTOCOL = "authguard-r/safety-check/1"
@@ -38,7 +38,7 @@ Text = Annotated[str, Meta(pattern=r"\A[ -~]{0,200}\Z")]
 _UCRED = struct.Struct("iII")
 
 
-class Found(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class CheckerFinding(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One thing that a checker found: its own rule, where in the action, and two short texts."""
 
     rule: Identifier
@@ -47,7 +47,7 @@ class Found(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     got: Text
 
 
-class Answer(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class CheckerAnswer(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """What a checker answers.
 
     Args:
@@ -62,7 +62,7 @@ class Answer(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     id: Annotated[str, Meta(max_length=22)]
     action: Digest
     safe: bool
-    findings: Annotated[tuple[Found, ...], Meta(max_length=MAX_FINDINGS)]
+    findings: Annotated[tuple[CheckerFinding, ...], Meta(max_length=MAX_FINDINGS)]
 
 
 class NoAnswerError(Exception):
@@ -76,7 +76,7 @@ class ExternalGate:
         checker: who has to agree, where it listens, as whom it runs, and how long it may take.
     """
 
-    def __init__(self, checker: Checker) -> None:
+    def __init__(self, checker: ExternalChecker) -> None:
         self.checker = checker
 
     def recall(self, memory: bytes) -> ExternalGate:  # noqa: ARG002 - the checker keeps its own
@@ -112,7 +112,7 @@ class ExternalGate:
     def _field(self) -> str:
         return f"checker.{self.checker.id}"
 
-    def _finding(self, found: Found) -> SafetyFinding:
+    def _finding(self, found: CheckerFinding) -> SafetyFinding:
         field = f"{self._field}.{found.rule}" + (f" {found.field}" if found.field else "")
         return SafetyFinding(Hazard.RULE, field, found.expected, found.got)
 
@@ -173,10 +173,10 @@ def _line(link: socket.socket, until: float) -> bytes:
     return line
 
 
-def _answer(line: bytes, *, number: str, about: Digest) -> Answer:
+def _answer(line: bytes, *, number: str, about: Digest) -> CheckerAnswer:
     """Return the answer that a line holds, if it is one to this question about this action."""
     try:
-        answer = decode(line, Answer, where="answer")
+        answer = decode(line, CheckerAnswer, where="answer")
     except MalformedError as error:
         raise NoAnswerError(f"no answer: {error.message}"[:200]) from error
     if answer.id != number:

@@ -24,7 +24,7 @@ _KIND = "safety"
 LOST = b"lost"
 
 
-class Held(Protocol):
+class MemoryTurn(Protocol):
     """What can be read and written in the writer's turn."""
 
     def get(self, kind: str, key: str) -> bytes | None:
@@ -43,7 +43,7 @@ class Read(Protocol):
         ...
 
 
-class Kept(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class MissionMemory(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The memory of one mission as it is held.
 
     Args:
@@ -80,7 +80,7 @@ def memory_of(turn: Read, standing: Standing | None) -> bytes:
 
 
 def remember(
-    turn: Held, before: Standing, safety: SafetyDecision | None, *, ticket: Digest
+    turn: MemoryTurn, before: Standing, safety: SafetyDecision | None, *, ticket: Digest
 ) -> None:
     """Move the memory with a release; nothing is held for a gate that remembers nothing.
 
@@ -93,7 +93,7 @@ def remember(
     if safety is None or not any(safety.memory):
         return
     doubted, succeeded = map(b64, safety.memory)
-    kept = Kept(
+    kept = MissionMemory(
         actions=before.actions + 1,
         ticket=ticket,
         memory=doubted,
@@ -104,7 +104,7 @@ def remember(
 
 
 def settle_memory(
-    turn: Held, standing: Standing, mission: Mission, *, ticket: Digest, outcome: Outcome
+    turn: MemoryTurn, standing: Standing, mission: Mission, *, ticket: Digest, outcome: Outcome
 ) -> None:
     """Say how the last release ended; doubt about an earlier one stays.
 
@@ -127,11 +127,11 @@ def settle_memory(
     turn.put(_KIND, standing.mid, encode_fast(structs.replace(kept, memory=memory)))
 
 
-def _kept(turn: Read, standing: Standing) -> Kept | None:
+def _kept(turn: Read, standing: Standing) -> MissionMemory | None:
     data = turn.get(_KIND, standing.mid)
     if data is None:
         return None
     try:
-        return decode(data, Kept, where="store.safety")
+        return decode(data, MissionMemory, where="store.safety")
     except MalformedError:
         return None

@@ -15,8 +15,8 @@ import msgspec
 
 from authguard_r.approvals import approver_json
 from authguard_r.approvals.requests import (
-    Asked,
-    Told,
+    OpenRequest,
+    RecordedQuestion,
     behind,
     find_asked,
     is_denied,
@@ -41,8 +41,8 @@ from authguard_r.core.token import VerifiedMission
 from authguard_r.enforcement.leases import quietly
 from authguard_r.enforcement.report import Report
 from authguard_r.server.wiring import Gate
-from authguard_r.store.transactions import Act
-from authguard_r.wire.approval_request import Answered, Question, Questions, Truth
+from authguard_r.store.transactions import Transaction
+from authguard_r.wire.approval_request import ApprovalAnswer, Question, Questions, Truth
 
 #: Tells everybody who watches.
 Publish = Callable[[dict[str, Any]], None]
@@ -69,7 +69,7 @@ class OpenQuestions:
             AuthGuardError: the mission cannot be read, or the clock is behind.
         """
 
-        def job(act: Act) -> Questions:
+        def job(act: Transaction) -> Questions:
             mid = act.active()
             standing = None if mid is None else act.standing(mid)
             found = () if standing is None else self._all(act, standing, counter)
@@ -94,7 +94,7 @@ class OpenQuestions:
         """
         said = item.approval
 
-        def job(act: Act) -> str:
+        def job(act: Transaction) -> str:
             gate = self._gate
             asked = find_asked(
                 act,
@@ -169,7 +169,7 @@ class OpenQuestions:
             self._open = quietly(lambda: self._gate.ledger.run(_left_open)) or {}
         return self._open
 
-    def _all(self, act: Act, standing: Standing, counter: int | None) -> Iterable[Question]:
+    def _all(self, act: Transaction, standing: Standing, counter: int | None) -> Iterable[Question]:
         verified = self._gate.enforcer.intake.mission(act, standing.digest)
         grants = {grant.id: grant for grant in verified.mission.actions}
         for name, request in standing.requests.items():
@@ -178,8 +178,8 @@ class OpenQuestions:
 
     def _put(
         self, verified: VerifiedMission, standing: Standing, grant: Grant, action: Action
-    ) -> Asked:
-        return Asked(
+    ) -> OpenRequest:
+        return OpenRequest(
             verified=verified,
             grant=grant,
             request=standing.requests[grant.id],
@@ -190,7 +190,7 @@ class OpenQuestions:
 
     def _question(
         self,
-        act: Act,
+        act: Transaction,
         verified: VerifiedMission,
         standing: Standing,
         grant: Grant,
@@ -233,7 +233,9 @@ class OpenQuestions:
             seq=told.record.link.seq,
         )
 
-    def _truth(self, told: Told, verified: VerifiedMission, grant: Grant) -> tuple[bool, ...]:
+    def _truth(
+        self, told: RecordedQuestion, verified: VerifiedMission, grant: Grant
+    ) -> tuple[bool, ...]:
         """Return which conditions held when people were asked, from the state of that instant."""
         now = told.value("now", Now) or Now(told.record.link.time_ms, 0)
         kept = told.value("state", tuple[dict[str, Any], ...]) or ()
@@ -246,7 +248,7 @@ class OpenQuestions:
         guards = (*verified.mission.guards, *grant.guards)
         return tuple(guard_finding(g, state, verified.mission.rid, now) is None for g in guards)
 
-    def _is_current(self, asked: Asked, now: Now) -> bool:
+    def _is_current(self, asked: OpenRequest, now: Now) -> bool:
         """True when the same proposal would meet this request now, and open no other."""
         state: AttestedState | None = self._gate.enforcer.intake.state
         case = Case(
@@ -263,7 +265,7 @@ class OpenQuestions:
         return (need.scope, need.situation) == (asked.request.scope, asked.request.situation)
 
 
-def _left_open(act: Act) -> dict[tuple[MissionId, int], int]:
+def _left_open(act: Transaction) -> dict[tuple[MissionId, int], int]:
     mid = act.active()
     standing = None if mid is None else act.standing(mid)
     if mid is None or standing is None:
@@ -278,9 +280,9 @@ def _situation(truth: tuple[bool, ...], request: ApprovalRequest) -> bytes | Non
     return next(found, None)
 
 
-def _answered(asked: Asked | None, item: VerifiedApproval, now: Now) -> Answered:
+def _answered(asked: OpenRequest | None, item: VerifiedApproval, now: Now) -> ApprovalAnswer:
     approver = item.approver
-    return Answered(
+    return ApprovalAnswer(
         approver=approver.id,
         role=approver.role,
         kind=approver_json(approver)["kind"],

@@ -16,10 +16,10 @@ from msgspec import Struct
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import Identifier
 from authguard_r.core.ports import Controller
-from authguard_r.server.fair_queue import Client
-from authguard_r.server.lease_registry import Motions
+from authguard_r.server.fair_queue import ServedClient
+from authguard_r.server.lease_registry import LeaseRegistry
 from authguard_r.server.remote_controller import RemoteController
-from authguard_r.server.stop_recorder import StopBook
+from authguard_r.server.stop_recorder import StopRecorder
 from authguard_r.server.wiring import Gate
 from authguard_r.wire.faults import to_fault
 from authguard_r.wire.frames import Frame, read_body
@@ -40,8 +40,8 @@ def brakes_of(
     remote: RemoteController | None,
     mode: Mode,
     *,
-    book: StopBook,
-    motions: Motions,
+    book: StopRecorder,
+    motions: LeaseRegistry,
 ) -> Braking:
     """Return who carries out the stops that come to a gate itself."""
     here = remote is None and mode is Mode.ENFORCE
@@ -56,7 +56,7 @@ def brakes_of(
     return made
 
 
-class _Waiting(Struct):
+class _PendingBrake(Struct):
     """A stop that is under way, or whose record waits.
 
     Args:
@@ -70,9 +70,9 @@ class _Waiting(Struct):
         more: stops that were folded into its record.
     """
 
-    client: Client
+    client: ServedClient
     stop: Stop
-    asked: list[tuple[Client, int]]
+    asked: list[tuple[ServedClient, int]]
     begun_ms: int
     halt: int | None
     stood_ms: int | None = None
@@ -97,7 +97,7 @@ class Braking:
         controller: Controller,
         remote: RemoteController | None,
         *,
-        book: StopBook,
+        book: StopRecorder,
         stands: Callable[[], bool] | None,
         mono_ms: Callable[[], int],
     ) -> None:
@@ -106,11 +106,14 @@ class Braking:
         self._book = book
         self._stands = stands
         self._mono_ms = mono_ms
-        self._waiting: dict[_Who, _Waiting] = {}
-        self._written: dict[_Who, _Waiting] = {}
+        self._waiting: dict[_Who, _PendingBrake] = {}
+        self._written: dict[_Who, _PendingBrake] = {}
 
     def came(
-        self, client: Client, item: Frame, refused: Callable[[Identifier, AuthGuardError], None]
+        self,
+        client: ServedClient,
+        item: Frame,
+        refused: Callable[[Identifier, AuthGuardError], None],
     ) -> None:
         """Brake now; what else there is to do comes with the loop's next turn.
 
@@ -153,7 +156,7 @@ class Braking:
         self._waiting.clear()
         self._written.clear()
 
-    def _stop(self, client: Client, number: int, stop: Stop) -> None:
+    def _stop(self, client: ServedClient, number: int, stop: Stop) -> None:
         who, loop = (client.uid, client.role), asyncio.get_running_loop()
         known = self._waiting.get(who)
         if known is not None:
@@ -164,15 +167,15 @@ class Braking:
         self._controller.stop()
         told = None if self._remote is None or not self._remote.connected else self._remote.halts
         asked, now_ms = [(client, number)], self._mono_ms()
-        self._waiting[who] = _Waiting(client, stop, asked, begun_ms=now_ms, halt=told)
+        self._waiting[who] = _PendingBrake(client, stop, asked, begun_ms=now_ms, halt=told)
         # not here: whoever brought the bytes may be in the middle of something
         loop.call_soon(partial(self._hold, client))
 
-    def _hold(self, client: Client) -> None:
+    def _hold(self, client: ServedClient) -> None:
         self._book.begun(client.role)
         self.look()
 
-    def _keep(self, who: _Who, waiting: _Waiting, now_ms: int) -> None:
+    def _keep(self, who: _Who, waiting: _PendingBrake, now_ms: int) -> None:
         """Write a stop down: now, or later with those that follow.
 
         The lane may confirm what nobody confirmed here: its word comes within a second.
@@ -180,7 +183,7 @@ class Braking:
         before = self._written.get(who)
         if before is None and waiting.stood_ms is not None:
             self._write(waiting)
-            self._written[who] = _Waiting(waiting.client, waiting.stop, [], now_ms, None)
+            self._written[who] = _PendingBrake(waiting.client, waiting.stop, [], now_ms, None)
         elif before is None or before.due_ms is None:
             later_ms = FOLD_MS if waiting.stood_ms is not None else PATIENCE_MS
             waiting.due_ms = now_ms + later_ms
@@ -195,7 +198,7 @@ class Braking:
             else:
                 before.stood_ms = None
 
-    def _write(self, waiting: _Waiting) -> None:
+    def _write(self, waiting: _PendingBrake) -> None:
         self._book.taken(waiting.client, waiting.stop, waiting.stood_ms, waiting.more)
 
     @property

@@ -9,13 +9,13 @@ from __future__ import annotations
 from authguard_r.audit.record import NONE
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.enforcement.management import Management
-from authguard_r.enforcement.management.configurations import Configuration, Part
+from authguard_r.enforcement.management.configurations import Configuration, ConfiguredPart
 from authguard_r.normalize.binding import binding_digest
 from authguard_r.safety import safety_digest
-from authguard_r.server.parts import Parts
+from authguard_r.server.parts import GateParts
 
 
-def hold_configured(parts: Parts, management: Management) -> None:
+def hold_configured(parts: GateParts, management: Management) -> None:
     """Hold what is in force: nothing signed goes back, and each change is recorded.
 
     Raises:
@@ -26,11 +26,13 @@ def hold_configured(parts: Parts, management: Management) -> None:
         opened = parts.emergency.policy
         emergency = Configuration(digest=opened.digest, version=opened.policy.version)
     configured = {
-        Part.BINDING: Configuration(digest=binding_digest(parts.binding)),
-        Part.EMERGENCY: emergency,
-        Part.GATE: Configuration(digest=digest_of(Tag.GATE, config), version=config.version),
-        Part.SAFETY: Configuration(digest=safety_digest(safety), version=safety.version),
+        ConfiguredPart.BINDING: Configuration(digest=binding_digest(parts.binding)),
+        ConfiguredPart.EMERGENCY: emergency,
+        ConfiguredPart.GATE: Configuration(
+            digest=digest_of(Tag.GATE, config), version=config.version
+        ),
+        ConfiguredPart.SAFETY: Configuration(digest=safety_digest(safety), version=safety.version),
     }
     management.require_configurations(configured)  # while the clock is behind, too
     management.hold_policy(parts.risk)
-    management.hold_configurations(configured, sealed={Part.SAFETY: {"safety": safety}})
+    management.hold_configurations(configured, sealed={ConfiguredPart.SAFETY: {"safety": safety}})

@@ -21,20 +21,19 @@ from authguard_r.enforcement.management.rollback import AcceptedStore
 from authguard_r.enforcement.management.shredding import Shredding
 from authguard_r.enforcement.templates.template_store import TemplateStanding
 from authguard_r.server.approval_requests import OpenQuestions
-from authguard_r.server.emergencies import Rescues
-from authguard_r.server.fair_queue import Client
-from authguard_r.server.lease_registry import Motions
+from authguard_r.server.emergencies import EmergencyCalls
+from authguard_r.server.fair_queue import ServedClient
+from authguard_r.server.lease_registry import LeaseRegistry
 from authguard_r.server.plans import Plans, parts_of
-from authguard_r.server.queries import View
+from authguard_r.server.queries import GateQueries
 from authguard_r.server.remote_controller import RemoteController
-from authguard_r.server.state_inbox import Inbox
+from authguard_r.server.state_inbox import StateInbox
 from authguard_r.server.streams import Streams
 from authguard_r.server.wiring import Gate
 from authguard_r.wire.faults import to_fault
 from authguard_r.wire.frames import Frame, read_body
 from authguard_r.wire.messages import (
     BODY,
-    Act,
     Approvals,
     Attest,
     Close,
@@ -44,6 +43,7 @@ from authguard_r.wire.messages import (
     Kind,
     Observe,
     Order,
+    OrderKind,
     Propose,
     Records,
     Result,
@@ -62,7 +62,7 @@ _NAMED: dict[type, str] = {
 }
 
 
-class Desk:
+class Dispatcher:
     """Serves one request at a time.
 
     Args:
@@ -85,16 +85,16 @@ class Desk:
         gate: Gate,
         *,
         plans: Plans,
-        motions: Motions,
-        inbox: Inbox,
-        view: View,
+        motions: LeaseRegistry,
+        inbox: StateInbox,
+        view: GateQueries,
         controller: RemoteController | None,
         streams: Streams | None,
         publish: Publish,
         first: Callable[[Kind], None],
-        rest: Callable[[Client, Callable[[], None]], None],
-        answered: Callable[[Client], None],
-        refused: Callable[[Client, AuthGuardError], None],
+        rest: Callable[[ServedClient, Callable[[], None]], None],
+        answered: Callable[[ServedClient], None],
+        refused: Callable[[ServedClient, AuthGuardError], None],
     ) -> None:
         self._gate = gate
         self._plans = plans
@@ -109,21 +109,25 @@ class Desk:
         self._rest = rest
         self._answered, self._refused = answered, refused
         #: the emergency road; None where no policy was signed
-        self.rescues: Rescues | None = None
+        self.rescues: EmergencyCalls | None = None
         #: open approval requests
         self.questions = OpenQuestions(gate, publish)
-        self._acts: dict[Act, Callable[[Order], _Done]] = {
-            Act.ACTIVATE: lambda o: gate.management.activate(o.token, confirmation=o.confirmation),
-            Act.ISSUE: lambda o: gate.management.issue(o.token, confirmation=o.confirmation),
-            Act.COMMAND: lambda o: gate.management.command(o.token),
-            Act.SELECT: lambda o: gate.management.select(o.token),
-            Act.APPROVE: lambda o: gate.management.approve(o.token, why=o.why),
-            Act.TEMPLATE: lambda o: gate.management.template(o.token, confirmation=o.confirmation),
-            Act.REVOCATIONS: lambda o: gate.lists.install(o.token),
-            Act.ACCEPT_STORE: lambda o: gate.management.accept_store(o.token),
-            Act.SHRED: lambda o: gate.management.shred(o.token),
+        self._acts: dict[OrderKind, Callable[[Order], _Done]] = {
+            OrderKind.ACTIVATE: lambda o: gate.management.activate(
+                o.token, confirmation=o.confirmation
+            ),
+            OrderKind.ISSUE: lambda o: gate.management.issue(o.token, confirmation=o.confirmation),
+            OrderKind.COMMAND: lambda o: gate.management.command(o.token),
+            OrderKind.SELECT: lambda o: gate.management.select(o.token),
+            OrderKind.APPROVE: lambda o: gate.management.approve(o.token, why=o.why),
+            OrderKind.TEMPLATE: lambda o: gate.management.template(
+                o.token, confirmation=o.confirmation
+            ),
+            OrderKind.REVOCATIONS: lambda o: gate.lists.install(o.token),
+            OrderKind.ACCEPT_STORE: lambda o: gate.management.accept_store(o.token),
+            OrderKind.SHRED: lambda o: gate.management.shred(o.token),
         }
-        self._table: dict[Kind, Callable[[Client, int, Any], None]] = {
+        self._table: dict[Kind, Callable[[ServedClient, int, Any], None]] = {
             Kind.PROPOSE: self._propose,
             Kind.OBSERVE: self._observe,
             Kind.SAMPLE: self._sample,
@@ -142,7 +146,7 @@ class Desk:
             Kind.RESULT: self._result,
         }
 
-    def serve(self, client: Client, item: Frame) -> None:
+    def serve(self, client: ServedClient, item: Frame) -> None:
         """Do what a frame asks for and answer it; whatever is wrong with it is the answer."""
         try:
             self._first(item.kind)
@@ -153,16 +157,16 @@ class Desk:
             fault = AuthGuardError(type(error).__name__, reason=Reason.INTERNAL_FAULT)
             self._refuse(client, item, fault)
 
-    def _refuse(self, client: Client, item: Frame, error: AuthGuardError) -> None:
+    def _refuse(self, client: ServedClient, item: Frame, error: AuthGuardError) -> None:
         self._refused(client, error)
         client.error(item.id, to_fault(error))
         if item.kind is Kind.PROPOSE:
             self._answered(client)
 
-    def _propose(self, client: Client, number: int, asked: Propose) -> None:
+    def _propose(self, client: ServedClient, number: int, asked: Propose) -> None:
         self._plans.propose(client, number, asked)
 
-    def _observe(self, client: Client, number: int, seen: Observe) -> None:
+    def _observe(self, client: ServedClient, number: int, seen: Observe) -> None:
         """Note a text in parts, one a turn: looking through a long one takes long."""
         parts = parts_of(seen.text)
 
@@ -175,11 +179,11 @@ class Desk:
 
         note()
 
-    def _sample(self, client: Client, number: int, sample: Sample) -> None:
+    def _sample(self, client: ServedClient, number: int, sample: Sample) -> None:
         forwarded = self._open_streams().sample(client.name, sample.ticket, sample.params)
         client.reply(number, {"forwarded": forwarded})
 
-    def _close(self, client: Client, number: int, ended: Close) -> None:
+    def _close(self, client: ServedClient, number: int, ended: Close) -> None:
         self._open_streams().finish(client.name, ended.ticket)
         client.reply(number, {})
 
@@ -188,7 +192,7 @@ class Desk:
             raise RefusedError("nothing streams here", reason=Reason.LEASE_ENDED, where="ticket")
         return self._streams
 
-    def _emergency(self, client: Client, number: int, asked: Emergency) -> None:
+    def _emergency(self, client: ServedClient, number: int, asked: Emergency) -> None:
         if self.rescues is None:
             raise RefusedError(
                 "no emergency policy is here",
@@ -197,7 +201,7 @@ class Desk:
             )
         self.rescues.call(client, number, asked)
 
-    def _attest(self, client: Client, number: int, attested: Attest) -> None:
+    def _attest(self, client: ServedClient, number: int, attested: Attest) -> None:
         """Take a snapshot in and look at every lease; the log has why one was not taken in."""
         intake = self._gate.enforcer.intake
         if attested.token == self._inbox.latest():
@@ -215,7 +219,7 @@ class Desk:
         taken = None if state is None else (state.snapshot.epoch, state.snapshot.seq)
         client.reply(number, {} if taken is None else {"epoch": taken[0], "seq": taken[1]})
 
-    def _order(self, client: Client, number: int, order: Order) -> None:
+    def _order(self, client: ServedClient, number: int, order: Order) -> None:
         """Do an act of management and look at every lease: it may have ended some."""
         try:
             done = self._acts[order.act](order)
@@ -229,7 +233,7 @@ class Desk:
         self._publish({"event": "management", "act": order.act, "by": client.name})
         client.reply(number, answer)
 
-    def _evaluate(self, client: Client, number: int, asked: Evaluate) -> None:
+    def _evaluate(self, client: ServedClient, number: int, asked: Evaluate) -> None:
         def answer(steps: list[dict[str, Any]] | AuthGuardError) -> None:
             if isinstance(steps, AuthGuardError):
                 client.error(number, to_fault(steps))
@@ -238,35 +242,35 @@ class Desk:
 
         self._plans.evaluate(client, asked, answer)
 
-    def _status(self, client: Client, number: int, asked: object) -> None:  # noqa: ARG002
+    def _status(self, client: ServedClient, number: int, asked: object) -> None:  # noqa: ARG002
         client.reply(number, self._view.status())
 
-    def _records(self, client: Client, number: int, asked: Records) -> None:
+    def _records(self, client: ServedClient, number: int, asked: Records) -> None:
         client.reply(number, {"records": self._view.records(asked.first, asked.count)})
 
-    def _explain(self, client: Client, number: int, asked: Explain) -> None:
+    def _explain(self, client: ServedClient, number: int, asked: Explain) -> None:
         try:
             client.reply(number, self._view.explain(asked.seq))
         except RefusedError as error:  # a question without an answer is nobody's attempt
             client.error(number, to_fault(error))
 
-    def _approvals(self, client: Client, number: int, asked: Approvals) -> None:
+    def _approvals(self, client: ServedClient, number: int, asked: Approvals) -> None:
         try:
             client.reply(number, msgspec.to_builtins(self.questions.told(asked.counter)))
         except RefusedError as error:  # a question without an answer is nobody's attempt
             client.error(number, to_fault(error))
 
-    def _metrics(self, client: Client, number: int, asked: object) -> None:  # noqa: ARG002
+    def _metrics(self, client: ServedClient, number: int, asked: object) -> None:  # noqa: ARG002
         client.reply(number, self._view.metrics())
 
-    def _watch(self, client: Client, number: int, asked: object) -> None:  # noqa: ARG002
+    def _watch(self, client: ServedClient, number: int, asked: object) -> None:  # noqa: ARG002
         client.watching = number
         client.reply(number, {})
 
-    def _hear(self, client: Client, number: int, said: Any) -> None:  # noqa: ARG002
+    def _hear(self, client: ServedClient, number: int, said: Any) -> None:  # noqa: ARG002
         if self._controller is not None:
             self._controller.hear(said, number)
             self._motions.look()
 
-    def _result(self, client: Client, number: int, said: Result) -> None:  # noqa: ARG002
+    def _result(self, client: ServedClient, number: int, said: Result) -> None:  # noqa: ARG002
         self._motions.tell(said)

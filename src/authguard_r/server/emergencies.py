@@ -23,10 +23,15 @@ from authguard_r.core.identifiers import Identifier
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome
 from authguard_r.enforcement.emergency.policy import Caller
-from authguard_r.enforcement.emergency_enforcer import Call, Relief, Rescue, Rescued
+from authguard_r.enforcement.emergency_enforcer import (
+    EmergencyEnforcer,
+    EmergencyExecution,
+    EmergencyReport,
+    JudgedEmergency,
+)
 from authguard_r.enforcement.enforcer import Enforcer
-from authguard_r.server.fair_queue import Client
-from authguard_r.server.lease_registry import Motions
+from authguard_r.server.fair_queue import ServedClient
+from authguard_r.server.lease_registry import LeaseRegistry
 from authguard_r.server.liveness import Liveness
 from authguard_r.server.remote_controller import RemoteController
 from authguard_r.wire.messages import ClientRole, Emergency
@@ -48,7 +53,7 @@ _CALLERS = {ClientRole.PLANNER: Caller.PLANNER, ClientRole.OPERATOR: Caller.OPER
 _Answers = dict[tuple[Identifier, str], dict[str, Any] | None]
 
 
-class _Asked(Struct, frozen=True):
+class _CallListener(Struct, frozen=True):
     """Who is told what becomes of a call; nobody is told of the gate's own."""
 
     name: Identifier
@@ -57,10 +62,10 @@ class _Asked(Struct, frozen=True):
     tell: Callable[[dict[str, Any]], None]
 
 
-class _Waiting(Struct, frozen=True):
+class _PendingCall(Struct, frozen=True):
     """An accepted call that waits until the robot stands, and then for state from after that."""
 
-    asked: _Asked
+    asked: _CallListener
     until_ms: int
     stands: bool = False
 
@@ -72,7 +77,7 @@ class _Failed(Struct, frozen=True):
     again_ms: int
 
 
-class Rescues:
+class EmergencyCalls:
     """The emergency road's clients.
 
     Args:
@@ -87,10 +92,10 @@ class Rescues:
 
     def __init__(
         self,
-        rescue: Rescue,
+        rescue: EmergencyEnforcer,
         *,
         enforcer: Enforcer,
-        motions: Motions,
+        motions: LeaseRegistry,
         controller: RemoteController | None,
         liveness: Liveness,
         publish: Callable[[dict[str, Any]], None],
@@ -103,8 +108,8 @@ class Rescues:
         self._liveness = liveness
         self._publish = publish
         self._state_wait_ms = state_wait_ms
-        self._waiting: _Waiting | None = None
-        self._running: _Asked | None = None
+        self._waiting: _PendingCall | None = None
+        self._running: _CallListener | None = None
         self._answers: dict[tuple[str, ClientRole], _Answers] = {}
         self._false: OrderedDict[str, int] = OrderedDict()
         self._false_in: str | None = None
@@ -127,7 +132,7 @@ class Rescues:
             "unknown": list(self._rescue.log.unknown),
         }
 
-    def call(self, client: Client, number: int, asked: Emergency) -> None:
+    def call(self, client: ServedClient, number: int, asked: Emergency) -> None:
         """Answer a call, now or when it has ended.
 
         Raises:
@@ -152,7 +157,7 @@ class Rescues:
             client.reply(number, {**answer, "repeated": False})
 
         caller = _CALLERS[client.role]
-        self._judge(_Asked(client.name, caller, asked.capability, tell))
+        self._judge(_CallListener(client.name, caller, asked.capability, tell))
 
     def look(self) -> None:
         """Go on with what waits, and call what the gate calls by itself."""
@@ -167,7 +172,7 @@ class Rescues:
 
     # one call
 
-    def _judge(self, asked: _Asked) -> None:
+    def _judge(self, asked: _CallListener) -> None:
         call = self._rescue.judge(asked.capability, asked.caller, asked.name)
         if not call.released:
             self._refuse(asked, call, call.decision.findings)
@@ -179,12 +184,12 @@ class Rescues:
         else:
             self._enforcer.before_first(self._require_over)
             until_ms = self._rescue.watch.mono_ms() + self._rescue.watch.stand_within_ms
-            self._waiting = _Waiting(asked, until_ms)
+            self._waiting = _PendingCall(asked, until_ms)
             if self._motions:
                 self._rescue.watch.controller.stop()
             self._go_on(self._waiting, self._rescue.watch.mono_ms())
 
-    def _go_on(self, waiting: _Waiting, now_ms: int) -> None:
+    def _go_on(self, waiting: _PendingCall, now_ms: int) -> None:
         """Begin once the robot stands, no stop is unexplained and newer state shows that it may.
 
         Both have their time; what was not so by then refuses the call.
@@ -194,7 +199,7 @@ class Rescues:
         if (self._motions or not rests) and now_ms <= waiting.until_ms:
             return
         if not waiting.stands:
-            waiting = _Waiting(waiting.asked, now_ms + self._state_wait_ms, stands=True)
+            waiting = _PendingCall(waiting.asked, now_ms + self._state_wait_ms, stands=True)
         self._waiting = None
         asked = waiting.asked
         self._rescue.log.flush()  # what ended before is in the log before the fence is asked
@@ -224,10 +229,10 @@ class Rescues:
             return (Finding("stop", Reason.BUSY, "a stop process that answers", "none"),)
         return ()
 
-    def _begin(self, asked: _Asked, call: Call) -> None:
+    def _begin(self, asked: _CallListener, call: JudgedEmergency) -> None:
         told = {"capability": call.name, "by": call.by, "caller": str(call.caller)}
         begun = self._rescue.begin(call)
-        if isinstance(begun, Relief):
+        if isinstance(begun, EmergencyExecution):
             self._running = asked
             self._motions.rescue(begun, partial(self._ended, asked))
             self._publish({"event": "emergency", **told})
@@ -235,26 +240,31 @@ class Rescues:
         else:
             self._answer(asked, begun)
 
-    def _ended(self, asked: _Asked, ended: Rescued) -> None:
+    def _ended(self, asked: _CallListener, ended: EmergencyReport) -> None:
         self._running = None
         self._liveness.end("emergency")
         self._answer(asked, ended)
 
-    def _answer(self, asked: _Asked, ended: Rescued) -> None:
+    def _answer(self, asked: _CallListener, ended: EmergencyReport) -> None:
         told = rescued_json(ended)
         self._publish({"event": "emergency", "by": asked.name, **told})
         asked.tell(told)
 
     def _refuse(
-        self, asked: _Asked, call: Call, findings: Findings, *, is_false: bool = True
+        self,
+        asked: _CallListener,
+        call: JudgedEmergency,
+        findings: Findings,
+        *,
+        is_false: bool = True,
     ) -> None:
         """Record a refused call, count a planner's false one, and answer."""
         self._rescue.refuse(call, findings)
         if is_false and asked.caller is Caller.PLANNER:
             self._count(asked, call, findings)
-        asked.tell(rescued_json(Rescued(call=call, reasons=findings)))
+        asked.tell(rescued_json(EmergencyReport(call=call, reasons=findings)))
 
-    def _count(self, asked: _Asked, call: Call, findings: Findings) -> None:
+    def _count(self, asked: _CallListener, call: JudgedEmergency, findings: Findings) -> None:
         """Raise an alert at a user's first false call, the tenth, the hundredth, and so on.
 
         Each mission begins the count anew, for the alert ends with it.
@@ -296,7 +306,7 @@ class Rescues:
                     self._failed[name] = _Failed(self._failed[name].at_ms, AGAIN_MS)
             elif name not in self._met and self._is_due(name, now_ms):
                 self._met.add(name)
-                self._judge(_Asked(_GATE, Caller.GATE, name, partial(self._answered, name)))
+                self._judge(_CallListener(_GATE, Caller.GATE, name, partial(self._answered, name)))
                 return
 
     def _is_due(self, name: Identifier, now_ms: int) -> bool:
@@ -336,7 +346,7 @@ def _user_of(name: Identifier) -> str:
     return name.partition(".")[0]
 
 
-def rescued_json(ended: Rescued) -> dict[str, Any]:
+def rescued_json(ended: EmergencyReport) -> dict[str, Any]:
     """Return what became of a call, as its caller is told."""
     call = ended.call
     released = ended.ticket is not None

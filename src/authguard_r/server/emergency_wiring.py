@@ -10,10 +10,10 @@ from pathlib import Path
 
 from authguard_r.enforcement.emergency.journal import MAGIC, EmergencyJournal
 from authguard_r.enforcement.emergency.opened import OpenedPolicy
-from authguard_r.enforcement.emergency_audit import RescueLog
-from authguard_r.enforcement.emergency_enforcer import Rescue
+from authguard_r.enforcement.emergency_audit import EmergencyAudit
+from authguard_r.enforcement.emergency_enforcer import EmergencyEnforcer
 from authguard_r.keys.signer import FileSigner
-from authguard_r.server.emergencies import Rescues
+from authguard_r.server.emergencies import EmergencyCalls
 from authguard_r.server.remote_controller import RemoteController
 from authguard_r.server.service import Service
 from authguard_r.store.transactions import Ledger
@@ -38,7 +38,7 @@ def open_road(
     journal: EmergencyJournal | None,
     *,
     controller: RemoteController | None,
-) -> Rescue:
+) -> EmergencyEnforcer:
     """Return the emergency road of a gate; its clients are served from now on.
 
     Args:
@@ -51,12 +51,12 @@ def open_road(
         StoreError: the policy was not recorded.
     """
     gate = service.gate
-    log = RescueLog(gate.ledger, journal, settle=gate.enforcer.settle_stops)
+    log = EmergencyAudit(gate.ledger, journal, settle=gate.enforcer.settle_stops)
     log.adopt(opened)
     log.flush()
     if log.strange:
         service.liveness.alert(STRANGE, log.strange)
-    road = Rescue(
+    road = EmergencyEnforcer(
         gate.ledger,
         gate.enforcer.intake,
         opened=opened,
@@ -66,7 +66,7 @@ def open_road(
         watch=gate.watch,
         log=log,
     )
-    rescues = Rescues(
+    rescues = EmergencyCalls(
         road,
         enforcer=gate.enforcer,
         motions=service.motions,

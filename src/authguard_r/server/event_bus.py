@@ -11,12 +11,12 @@ from typing import Any
 
 from authguard_r.audit.record import NONE, Entry
 from authguard_r.enforcement.leases import quietly
-from authguard_r.server.event_log import Journal
-from authguard_r.server.fair_queue import Client
+from authguard_r.server.event_log import EventLog
+from authguard_r.server.fair_queue import ServedClient
 from authguard_r.store.transactions import Ledger
 
 
-class Notices:
+class EventBus:
     """Tells those who watch.
 
     Args:
@@ -26,7 +26,7 @@ class Notices:
     """
 
     def __init__(
-        self, ledger: Ledger, clients: Callable[[], Iterable[Client]], journal: Journal
+        self, ledger: Ledger, clients: Callable[[], Iterable[ServedClient]], journal: EventLog
     ) -> None:
         self._ledger = ledger
         self._clients = clients

@@ -23,7 +23,7 @@ _KEPT = frozenset(
 COUNTS_MS = 10_000
 
 
-class Journal:
+class EventLog:
     """Writes lines to a file descriptor.
 
     Args:

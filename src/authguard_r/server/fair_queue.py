@@ -35,7 +35,7 @@ _BUSY = msgspec.json.encode(
 )
 
 
-class Line(Protocol):
+class ClientLine(Protocol):
     """A client's connection."""
 
     def write(self, data: bytes) -> None:
@@ -55,7 +55,7 @@ class Line(Protocol):
         ...
 
 
-class Client:
+class ServedClient:
     """One connected client after its hello.
 
     Args:
@@ -68,7 +68,7 @@ class Client:
     that nobody takes are not made. `queued` says that the ring has it.
     """
 
-    def __init__(self, line: Line, *, role: ClientRole, name: Identifier, uid: int) -> None:
+    def __init__(self, line: ClientLine, *, role: ClientRole, name: Identifier, uid: int) -> None:
         self.line = line
         self.role = role
         self.name = name
@@ -109,22 +109,22 @@ class Client:
             self.line.write(frame(kind, number, body))
 
 
-class Ring:
+class FairQueue:
     """Who is served next.
 
     Args:
         shed: called with a client whose proposal was shed; it is already answered.
     """
 
-    def __init__(self, shed: Callable[[Client], None]) -> None:
+    def __init__(self, shed: Callable[[ServedClient], None]) -> None:
         self._shed = shed
-        self._urgent: deque[Client] = deque()
-        self._normal: deque[Client] = deque()
+        self._urgent: deque[ServedClient] = deque()
+        self._normal: deque[ServedClient] = deque()
 
     def __bool__(self) -> bool:
         return bool(self._urgent or self._normal)
 
-    def came(self, client: Client, item: Frame) -> None:
+    def came(self, client: ServedClient, item: Frame) -> None:
         """Take in a frame: it waits for its turn, or is shed."""
         if item.kind is Kind.PROPOSE:
             if client.proposing:
@@ -133,35 +133,39 @@ class Ring:
             client.proposing, client.shed = True, 0
         self.put(client, item)
 
-    def put(self, client: Client, item: Frame | Callable[[], None], *, first: bool = False) -> None:
+    def put(
+        self, client: ServedClient, item: Frame | Callable[[], None], *, first: bool = False
+    ) -> None:
         """Let something of a client wait for its turn; `first` before what it asked since."""
         (client.waiting.appendleft if first else client.waiting.append)(item)
         self.reads(client)
         _flow(client)
 
-    def reads(self, client: Client) -> None:
+    def reads(self, client: ServedClient) -> None:
         """Serve what waits of a client that was put aside: it reads again, or it is gone."""
         if client.waiting and not client.queued:
             client.queued = True
             (self._urgent if client.urgent else self._normal).append(client)
 
-    def take(self) -> tuple[tuple[Client, Frame | Callable[[], None]], ...]:
+    def take(self) -> tuple[tuple[ServedClient, Frame | Callable[[], None]], ...]:
         """Return what is to be done in this turn: one urgent thing and one other."""
         return (*self._next(self._urgent), *self._next(self._normal))
 
-    def done(self, client: Client) -> None:
+    def done(self, client: ServedClient) -> None:
         """Say that the client's proposal was answered: it may make the next one."""
         client.proposing = False
         _flow(client)
 
-    def _refuse(self, client: Client, item: Frame) -> None:
+    def _refuse(self, client: ServedClient, item: Frame) -> None:
         client.shed += 1
         if not client.gone:
             client.line.write(raw_frame(Kind.ERROR, item.id, _BUSY))
         self._shed(client)
         _flow(client)
 
-    def _next(self, ring: deque[Client]) -> tuple[tuple[Client, Frame | Callable[[], None]], ...]:
+    def _next(
+        self, ring: deque[ServedClient]
+    ) -> tuple[tuple[ServedClient, Frame | Callable[[], None]], ...]:
         while ring:
             client = ring.popleft()
             client.queued = False
@@ -175,13 +179,13 @@ class Ring:
         return ()
 
 
-def _forget(client: Client) -> None:
+def _forget(client: ServedClient) -> None:
     """Drop what a client that is gone has asked; what the gate began for it goes on to its end."""
     begun = [item for item in client.waiting if not isinstance(item, Frame)]
     client.waiting = deque(begun)
 
 
-def _flow(client: Client) -> None:
+def _flow(client: ServedClient) -> None:
     """Read on, or stop reading, as much waits or was shed."""
     much = client.proposing and client.shed >= MOST_SHED
     paused = much or len(client.waiting) >= MOST_WAITING

@@ -14,7 +14,7 @@ from msgspec import Struct
 from authguard_r.core.action import Action
 from authguard_r.core.identifiers import ActionType, Digest, Identifier
 from authguard_r.core.lease import Lease
-from authguard_r.enforcement.emergency_enforcer import Relief, Rescued
+from authguard_r.enforcement.emergency_enforcer import EmergencyExecution, EmergencyReport
 from authguard_r.enforcement.leases import Running
 from authguard_r.enforcement.report import Report
 from authguard_r.server.remote_controller import RemoteController
@@ -43,7 +43,7 @@ class _Moving(Protocol):
     @property
     def holds(self) -> bool: ...
 
-    def poll(self) -> Report | Rescued | None: ...
+    def poll(self) -> Report | EmergencyReport | None: ...
 
 
 class _Motion(Struct, frozen=True):
@@ -52,7 +52,7 @@ class _Motion(Struct, frozen=True):
     told: Callable[[Result], None] | None = None
 
 
-class Motions:
+class LeaseRegistry:
     """The released actions whose outcome is not recorded yet.
 
     Args:
@@ -94,7 +94,7 @@ class Motions:
             streams.begin(client, running, gone)
             running.before_outcome(lambda: streams.ended(running.lease.ticket))
 
-    def rescue(self, relief: Relief, ended: Callable[[Rescued], None]) -> None:
+    def rescue(self, relief: EmergencyExecution, ended: Callable[[EmergencyReport], None]) -> None:
         """Watch an emergency; `ended` is called once, with what became of it."""
         self._open[relief.lease.ticket] = _Motion(relief, ended)
 
@@ -131,7 +131,7 @@ class Motions:
             for ticket, motion in self._open.items()
         )
 
-    def _end(self, ticket: Digest, motion: _Motion, report: Report | Rescued) -> None:
+    def _end(self, ticket: Digest, motion: _Motion, report: Report | EmergencyReport) -> None:
         del self._open[ticket]
         if self._controller is not None:
             self._controller.forget(ticket)

@@ -7,17 +7,17 @@ Spec page: docs/spec/rollback.md#checkpoints, docs/spec/store.md#rotation
 from __future__ import annotations
 
 from authguard_r.access.gate_config import GateConfig
-from authguard_r.anchoring.anchor import WHAT, Anchor, Told
-from authguard_r.anchoring.checkpoint_scheduler import NotaryPolicy
+from authguard_r.anchoring.anchor import WHAT, AnchorNotice, StoreAnchor
+from authguard_r.anchoring.checkpoint_scheduler import CheckpointPolicy
 from authguard_r.anchoring.quorum import WitnessPolicy
 from authguard_r.anchoring.rotation import Rotation, RotationPolicy
-from authguard_r.server.event_bus import Notices
+from authguard_r.server.event_bus import EventBus
 from authguard_r.server.liveness import Liveness
 
 
-def notary_policy(config: GateConfig) -> NotaryPolicy:
+def notary_policy(config: GateConfig) -> CheckpointPolicy:
     """Return when checkpoints are made, and who witnesses them."""
-    return NotaryPolicy(
+    return CheckpointPolicy(
         records=config.checkpoint_records,
         every_ms=config.checkpoint_ms,
         witnesses=WitnessPolicy(
@@ -31,7 +31,7 @@ def rotation_policy(config: GateConfig) -> RotationPolicy:
     return RotationPolicy(records=config.segment_records, witnessed=config.quorum > 0)
 
 
-class Vigil:
+class LogMaintenance:
     """Watches over what lies outside of the store.
 
     Args:
@@ -40,7 +40,7 @@ class Vigil:
         notices: records and publishes them.
     """
 
-    def __init__(self, anchor: Anchor, liveness: Liveness, notices: Notices) -> None:
+    def __init__(self, anchor: StoreAnchor, liveness: Liveness, notices: EventBus) -> None:
         self._anchor = anchor
         self._liveness = liveness
         self._notices = notices
@@ -63,7 +63,7 @@ class Vigil:
             for told in self.rotation.tick():
                 self._tell(told)
 
-    def _tell(self, told: Told) -> None:
+    def _tell(self, told: AnchorNotice) -> None:
         if told.over:
             self._liveness.end(told.what)
         elif told.recorded:

@@ -11,7 +11,7 @@ from authguard_r.access.gate_config import GateConfig
 from authguard_r.anchoring.counter import Counter
 from authguard_r.approvals.organization import VerifiedPolicy
 from authguard_r.enforcement.emergency.opened import OpenedPolicy
-from authguard_r.estop.startup import LaneFiles
+from authguard_r.estop.startup import EStopFiles
 from authguard_r.keys.signer import FileSigner
 from authguard_r.keys.trust import Trust
 from authguard_r.normalize.binding import Binding
@@ -27,7 +27,7 @@ class EmergencyParts(Struct, frozen=True, kw_only=True):
     journal: Path | None = None
 
 
-class Parts(Struct, frozen=True, kw_only=True):
+class GateParts(Struct, frozen=True, kw_only=True):
     """What a gate is started with, each part read and authentic.
 
     Args:
@@ -57,7 +57,7 @@ class Parts(Struct, frozen=True, kw_only=True):
     safety: SafetyConfig
     config: GateConfig
     store: Path
-    lane: LaneFiles | None
+    lane: EStopFiles | None
     journal: int
     demo: bool
     key: Path | None = None

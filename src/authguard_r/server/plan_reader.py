@@ -44,7 +44,7 @@ _NICER = 10
 Taken = Callable[[Plan | AuthGuardError | None], None]
 
 
-class _Asked(Struct, frozen=True):
+class _ReadTask(Struct, frozen=True):
     data: bytes
     dialect: Dialect
     taken: Taken
@@ -61,7 +61,7 @@ class _Said(Struct, frozen=True, kw_only=True):
     message: str = ""
 
 
-class Reader:
+class PlanReader:
     """Reads long plans one after another.
 
     Args:
@@ -81,7 +81,7 @@ class Reader:
     ) -> None:
         self._tools = (site, binding, memory_bytes)
         self._within_s = within_s
-        self._queue: deque[_Asked] = deque()
+        self._queue: deque[_ReadTask] = deque()
         self._process: SpawnProcess | None = None
         self._line: Connection | None = None
         self._deadline: asyncio.TimerHandle | None = None
@@ -112,7 +112,7 @@ class Reader:
             raise EnvironmentFault(
                 "too many long plans wait to be read", reason=Reason.BUSY, where="proposal"
             )
-        self._queue.append(_Asked(data, dialect, taken, uid, wanted))
+        self._queue.append(_ReadTask(data, dialect, taken, uid, wanted))
         if len(self._queue) == 1:
             self._send()
 
@@ -192,7 +192,7 @@ class Reader:
     def _take(self, plan: Plan | AuthGuardError) -> None:
         if self._deadline is not None:
             self._deadline.cancel()
-        done: list[tuple[_Asked, Plan | AuthGuardError | None]] = [(self._queue.popleft(), plan)]
+        done: list[tuple[_ReadTask, Plan | AuthGuardError | None]] = [(self._queue.popleft(), plan)]
         while self._queue and not self._queue[0].wanted():
             done.append((self._queue.popleft(), None))
         if self._queue:

@@ -13,8 +13,8 @@ from authguard_r.core.identifiers import Digest
 from authguard_r.enforcement.json_views import told_json
 from authguard_r.enforcement.report import Report
 from authguard_r.normalize import Step
-from authguard_r.server.fair_queue import Client
-from authguard_r.server.proposals import Answered, Numbers
+from authguard_r.server.fair_queue import ServedClient
+from authguard_r.server.proposals import Numbers, ProposalAnswer
 from authguard_r.wire.disclosure import Disclosure
 from authguard_r.wire.messages import Propose
 
@@ -22,12 +22,14 @@ from authguard_r.wire.messages import Propose
 class Later(Protocol):
     """Lets something of a client wait for its turn."""
 
-    def __call__(self, client: Client, act: Callable[[], None], *, first: bool = False) -> None:
+    def __call__(
+        self, client: ServedClient, act: Callable[[], None], *, first: bool = False
+    ) -> None:
         """Put it behind what waits of the client, or `first`, before all of that."""
         ...
 
 
-class Run:
+class ServedPlan:
     """One plan on its way.
 
     Args:
@@ -37,7 +39,7 @@ class Run:
         evidence: digest of the planner's exact bytes.
     """
 
-    def __init__(self, client: Client, number: int, asked: Propose, evidence: Digest) -> None:
+    def __init__(self, client: ServedClient, number: int, asked: Propose, evidence: Digest) -> None:
         self.client = client
         self.number = number
         self.asked = asked
@@ -48,9 +50,9 @@ class Run:
         self.told: list[dict[str, Any]] = []
         self.noting = 0  # results that are still looked through
 
-    def answered(self, then: str | None = None) -> Answered:
+    def answered(self, then: str | None = None) -> ProposalAnswer:
         """Return what is known of it so far."""
-        return Answered(
+        return ProposalAnswer(
             evidence=self.evidence,
             planned=len(self.steps),
             steps=tuple(self.told),

@@ -25,18 +25,18 @@ from authguard_r.enforcement.leases import Running, require_judged
 from authguard_r.enforcement.report import Report
 from authguard_r.normalize import Binder, Dialect, Plan, normalize
 from authguard_r.provenance.context import ContextLedger
-from authguard_r.server.fair_queue import Client
-from authguard_r.server.lease_registry import Motions
-from authguard_r.server.plan_reader import SHORT, Reader, Taken
-from authguard_r.server.plan_run import Later, Run
+from authguard_r.server.fair_queue import ServedClient
+from authguard_r.server.lease_registry import LeaseRegistry
+from authguard_r.server.plan_reader import SHORT, PlanReader, Taken
+from authguard_r.server.plan_run import Later, ServedPlan
 from authguard_r.server.proposals import (
-    Answered,
     Keeper,
-    Kept,
-    Proposals,
+    ProposalAnswer,
+    ProposalRecord,
+    ProposalRegistry,
     require_same_plan,
 )
-from authguard_r.server.what_if import Foresight
+from authguard_r.server.what_if import WhatIf
 from authguard_r.wire.disclosure import Disclosure
 from authguard_r.wire.messages import Evaluate, Fault, Propose, Result
 
@@ -81,17 +81,17 @@ class Plans:
         enforcer: Enforcer,
         binder: Binder,
         *,
-        reader: Reader,
-        motions: Motions,
-        proposals: Proposals,
+        reader: PlanReader,
+        motions: LeaseRegistry,
+        proposals: ProposalRegistry,
         channels: dict[str, str],
-        foresight: Foresight,
+        foresight: WhatIf,
         disclosure: Disclosure,
         shadow: bool,
         later: Later,
-        decided: Callable[[Client, Report], None],
-        ended: Callable[[Client, Report], None],
-        answered: Callable[[Client], None],
+        decided: Callable[[ServedClient, Report], None],
+        ended: Callable[[ServedClient, Report], None],
+        answered: Callable[[ServedClient], None],
     ) -> None:
         self._enforcer = enforcer
         self._binder = binder
@@ -106,7 +106,7 @@ class Plans:
         self._decided = decided
         self._ended = ended
         self._answered = answered
-        self._open: dict[tuple[Identifier, str], Run] = {}
+        self._open: dict[tuple[Identifier, str], ServedPlan] = {}
         self._contexts: dict[Identifier, ContextLedger] = {}
         # who told of an input that could not be noted, however often it connects anew; a whole
         # user, `u1001.`, in the place of more of its names than are kept
@@ -115,7 +115,7 @@ class Plans:
         self._anything = self._empty()
         self._anything.add(str(TRUST[-1]), "")
 
-    def observe(self, client: Client, channel: str, text: str) -> None:
+    def observe(self, client: ServedClient, channel: str, text: str) -> None:
         """Note something that the client's planner was shown.
 
         Raises:
@@ -137,7 +137,7 @@ class Plans:
         fresh.add(channel, text)
         self._contexts[client.name] = fresh
 
-    def propose(self, client: Client, number: int, asked: Propose) -> None:
+    def propose(self, client: ServedClient, number: int, asked: Propose) -> None:
         """Begin a plan, or answer a repeat from what is recorded.
 
         Raises:
@@ -155,7 +155,7 @@ class Plans:
             self._answer(client, number, known, repeated=True)
             return
         dialect = _dialect(asked.dialect)
-        run = Run(client, number, asked, evidence)
+        run = ServedPlan(client, number, asked, evidence)
         self._open[client.name, asked.key] = run
         try:
             self._read_plan(
@@ -169,13 +169,13 @@ class Plans:
             self._open.pop((client.name, asked.key), None)
             raise
 
-    def _hand_over(self, run: Run, client: Client, number: int) -> None:
+    def _hand_over(self, run: ServedPlan, client: ServedClient, number: int) -> None:
         """Give the answer to a client that came back, and let the connection before go on."""
         run.client.error(run.number, _HANDED_OVER)
         self._answered(run.client)
         run.client, run.number = client, number
 
-    def _read(self, run: Run, plan: Plan | AuthGuardError | None) -> None:
+    def _read(self, run: ServedPlan, plan: Plan | AuthGuardError | None) -> None:
         """Go on with a plan that was read, or record that it could not be."""
         if plan is None:
             self._leave(run)
@@ -193,7 +193,7 @@ class Plans:
 
     def evaluate(
         self,
-        client: Client,
+        client: ServedClient,
         asked: Evaluate,
         answer: Callable[[list[dict[str, Any]] | AuthGuardError], None],
     ) -> None:
@@ -224,7 +224,7 @@ class Plans:
 
     def _read_plan(
         self,
-        client: Client,
+        client: ServedClient,
         data: bytes,
         dialect: Dialect,
         taken: Taken,
@@ -245,11 +245,11 @@ class Plans:
             plan = error
         taken(plan)
 
-    def _step(self, run: Run) -> None:
+    def _step(self, run: ServedPlan) -> None:
         """Decide the next step; it waits while newer state may make it acceptable."""
         self._step_by(None, run)
 
-    def _step_by(self, until_ms: int | None, run: Run) -> None:
+    def _step_by(self, until_ms: int | None, run: ServedPlan) -> None:
         """Decide the next step, or let it wait, until then at most."""
         step = run.steps[len(run.reports)]
 
@@ -259,14 +259,14 @@ class Plans:
         if run.client.gone or not self.foresight.holds(step, until_ms, go_on):
             self._decide(run)
 
-    def _decide(self, run: Run) -> None:
+    def _decide(self, run: ServedPlan) -> None:
         """Decide the next step; what is released is watched until it ends."""
         client = run.client
         if client.gone:  # it went while its plan was read, or its next step waited
             self._leave(run)
             return
         step = run.steps[len(run.reports)]
-        before = Kept(evidence=run.evidence, planned=len(run.steps), steps=run.numbers)
+        before = ProposalRecord(evidence=run.evidence, planned=len(run.steps), steps=run.numbers)
         keeper = Keeper(client.name, run.asked.key, before)
         begun = self._enforcer.submit(
             step,
@@ -290,13 +290,13 @@ class Plans:
             self._go_on(run, begun)
             self._decided(client, begun)
 
-    def _moved(self, run: Run, keeper: Keeper, report: Report) -> None:
+    def _moved(self, run: ServedPlan, keeper: Keeper, report: Report) -> None:
         """Go on after a released step has ended, or was not begun after all."""
         run.numbers += keeper.numbers
         self._ended(run.client, report)
         self._go_on(run, report)
 
-    def _brought(self, run: Run, channel: str, result: Result) -> None:
+    def _brought(self, run: ServedPlan, channel: str, result: Result) -> None:
         """Tell the planner what its action brought to light, once all of it is noted."""
         parts = [part for text in result.texts or ("",) for part in parts_of(text)]
         run.noting += 1
@@ -313,7 +313,7 @@ class Plans:
 
         note()
 
-    def _go_on(self, run: Run, report: Report) -> None:
+    def _go_on(self, run: ServedPlan, report: Report) -> None:
         if run.noting:  # what it brought to light is told first
             self._later(run.client, lambda: self._go_on(run, report))
             return
@@ -325,14 +325,14 @@ class Plans:
         else:
             self._finish(run)
 
-    def _leave(self, run: Run) -> None:
+    def _leave(self, run: ServedPlan) -> None:
         """End a plan whose planner is gone; one that was not begun may come again."""
         if run.reports:
             self._finish(run)
         else:
             del self._open[run.client.name, run.asked.key]
 
-    def _finish(self, run: Run) -> None:
+    def _finish(self, run: ServedPlan) -> None:
         """Do what the mission says is done after a refusal, and answer."""
         self._open.pop((run.client.name, run.asked.key), None)
         last = run.reports[-1]
@@ -349,12 +349,14 @@ class Plans:
             self._enforcer.stop(by="gate", is_planner=False)
         return str(wanted)
 
-    def _tell(self, run: Run, report: Report) -> None:
+    def _tell(self, run: ServedPlan, report: Report) -> None:
         step = told_json(report, self._disclosure)
         ticket = require_judged(report).ticket
         run.client.event(run.number, {"step": len(run.reports), "ticket": ticket, **step})
 
-    def _answer(self, client: Client, number: int, known: Answered, *, repeated: bool) -> None:
+    def _answer(
+        self, client: ServedClient, number: int, known: ProposalAnswer, *, repeated: bool
+    ) -> None:
         client.reply(
             number,
             {
@@ -367,13 +369,13 @@ class Plans:
         )
         self._answered(client)
 
-    def _context(self, client: Client) -> ContextLedger:
+    def _context(self, client: ServedClient) -> ContextLedger:
         """Return what the client's planner saw; what could not be noted may have been anything."""
         unheard = not self._unheard.isdisjoint((client.name, f"u{client.uid}."))
         unknown = self._anything if unheard else self._nothing
         return self._contexts.get(client.name, unknown)
 
-    def _could_not_note(self, client: Client) -> None:
+    def _could_not_note(self, client: ServedClient) -> None:
         owner = f"u{client.uid}."
         theirs = sum(name.startswith(owner) for name in self._unheard)
         self._unheard.add(client.name if theirs < _MOST_OF_USER else owner)

@@ -32,22 +32,22 @@ from authguard_r.core.identifiers import RobotId
 from authguard_r.core.ports import Clock, Controller, SafetyGate, StateSource
 from authguard_r.core.reasons import Reason
 from authguard_r.enforcement.leases import WATCH_MS
-from authguard_r.estop.supervisor import LaneKeeper
+from authguard_r.estop.supervisor import EStopSupervisor
 from authguard_r.normalize import Binder
 from authguard_r.normalize.binding import binding_digest
 from authguard_r.safety import gate_of, safety_digest
 from authguard_r.server.configurations import hold_configured
 from authguard_r.server.emergency_wiring import open_journal, open_road
-from authguard_r.server.event_log import Journal
+from authguard_r.server.event_log import EventLog
 from authguard_r.server.log_maintenance import notary_policy, rotation_policy
-from authguard_r.server.parts import Parts
+from authguard_r.server.parts import GateParts
 from authguard_r.server.periodic import every
-from authguard_r.server.plan_reader import Reader
+from authguard_r.server.plan_reader import PlanReader
 from authguard_r.server.recovery import Recovery
 from authguard_r.server.remote_controller import RemoteController, ShadowController
 from authguard_r.server.robot_lock import ANSWER_S, Lock, hold_robot, root_fingerprint
 from authguard_r.server.service import Service
-from authguard_r.server.state_inbox import Inbox
+from authguard_r.server.state_inbox import StateInbox
 from authguard_r.server.streams import Streams
 from authguard_r.server.wiring import Gate, assemble
 from authguard_r.sim.robot import SymbolicRobot
@@ -87,11 +87,11 @@ class _Mounted(Struct, frozen=True):
     controller: Controller
     remote: RemoteController | None
     source: StateSource
-    inbox: Inbox
+    inbox: StateInbox
     clock: Clock
 
 
-def run_gate(parts: Parts, ready: Callable[[Rendezvous], None]) -> None:
+def run_gate(parts: GateParts, ready: Callable[[Rendezvous], None]) -> None:
     """Serve clients until SIGTERM or SIGINT; returns after everything is written and let go.
 
     Args:
@@ -124,14 +124,14 @@ def run_gate(parts: Parts, ready: Callable[[Rendezvous], None]) -> None:
             gate,
             parts.config,
             binder=Binder(parts.site, parts.binding),
-            reader=Reader(parts.site, parts.binding),
+            reader=PlanReader(parts.site, parts.binding),
             channels=dict(parts.site.channels),
             signer=parts.signer,
             inbox=mounted.inbox,
             controller=mounted.remote,
             streams=_streams(parts, gate, mounted.remote),
             recovery=recovery,
-            journal=Journal(parts.journal),
+            journal=EventLog(parts.journal),
             advance=_advance(parts),
         )
         service.view.free_bytes = partial(_free_bytes, parts.store.absolute().parent)
@@ -147,7 +147,7 @@ def run_gate(parts: Parts, ready: Callable[[Rendezvous], None]) -> None:
 
 
 def _rescue(
-    parts: Parts, service: Service, remote: RemoteController | None, held: ExitStack
+    parts: GateParts, service: Service, remote: RemoteController | None, held: ExitStack
 ) -> None:
     """Open the emergency road, if a policy was signed; its journal first, then the log."""
     if parts.emergency is None:
@@ -159,14 +159,14 @@ def _rescue(
     held.callback(road.log.flush)
 
 
-def _hold(parts: Parts) -> Lock:
+def _hold(parts: GateParts) -> Lock:
     root = root_fingerprint(parts.trust.root)
     return hold_robot(parts.config.robot, root, run=parts.run, key=parts.key, store=parts.store)
 
 
-def _mount(parts: Parts) -> _Mounted:
+def _mount(parts: GateParts) -> _Mounted:
     """Return the ports: a connected controller and estimator, none in shadow, or a simulation."""
-    robot, clock, inbox = parts.simulated, SystemClock(), Inbox()
+    robot, clock, inbox = parts.simulated, SystemClock(), StateInbox()
     shadow = parts.config.mode is Mode.SHADOW
     if robot is not None:
         return _Mounted(ShadowController() if shadow else robot, None, robot, inbox, robot)
@@ -176,7 +176,7 @@ def _mount(parts: Parts) -> _Mounted:
     return _Mounted(remote, remote, inbox, inbox, clock)
 
 
-def _assemble(parts: Parts, mounted: _Mounted, store: SqliteStore, safety: SafetyGate) -> Gate:
+def _assemble(parts: GateParts, mounted: _Mounted, store: SqliteStore, safety: SafetyGate) -> Gate:
     named = {"binding": binding_digest(parts.binding), "safety": safety_digest(parts.safety)}
     clock = {"clock": SIMULATED} if parts.simulated is not None else {}
     sealing = SealingPolicy(readers=parts.config.readers, retention=parts.config.retention)
@@ -205,7 +205,7 @@ def _assemble(parts: Parts, mounted: _Mounted, store: SqliteStore, safety: Safet
     return gate
 
 
-def _rotation(parts: Parts, gate: Gate, store: SqliteStore) -> Rotation:
+def _rotation(parts: GateParts, gate: Gate, store: SqliteStore) -> Rotation:
     return Rotation(
         gate.ledger,
         store,
@@ -225,7 +225,7 @@ def _policy(config: GateConfig) -> RefusalPolicy:
     )
 
 
-def _streams(parts: Parts, gate: Gate, remote: RemoteController | None) -> Streams | None:
+def _streams(parts: GateParts, gate: Gate, remote: RemoteController | None) -> Streams | None:
     if remote is None:
         return None
     profile = parts.site.robots[parts.config.robot].profile
@@ -240,7 +240,7 @@ def _streams(parts: Parts, gate: Gate, remote: RemoteController | None) -> Strea
     return streams
 
 
-def _advance(parts: Parts) -> Callable[[bool], None] | None:
+def _advance(parts: GateParts) -> Callable[[bool], None] | None:
     robot = parts.simulated
     if robot is None:
         return None
@@ -272,17 +272,17 @@ def _free_bytes(folder: Path) -> int:
     return shutil.disk_usage(folder).free
 
 
-def _is_alive(keeper: LaneKeeper) -> bool:
+def _is_alive(keeper: EStopSupervisor) -> bool:
     return keeper.alive
 
 
 def _keeper(
-    parts: Parts, service: Service, remote: RemoteController | None, held: ExitStack
-) -> LaneKeeper | None:
+    parts: GateParts, service: Service, remote: RemoteController | None, held: ExitStack
+) -> EStopSupervisor | None:
     """Start the stop lane, unless one serves already; one that we started ends with us."""
     if parts.lane is None:
         return None
-    keeper = LaneKeeper(parts.lane)
+    keeper = EStopSupervisor(parts.lane)
     held.callback(keeper.end)
     keeper.start()
     service.view.lane_alive = partial(_is_alive, keeper)
@@ -293,9 +293,9 @@ def _keeper(
 
 
 async def _serve(
-    parts: Parts,
+    parts: GateParts,
     service: Service,
-    keeper: LaneKeeper | None,
+    keeper: EStopSupervisor | None,
     *,
     lock: Lock,
     ready: Callable[[Rendezvous], None],
@@ -327,7 +327,7 @@ async def _serve(
         path.unlink(missing_ok=True)
 
 
-async def _keep(keeper: LaneKeeper | None, service: Service) -> asyncio.Future[None]:
+async def _keep(keeper: EStopSupervisor | None, service: Service) -> asyncio.Future[None]:
     """Hear of stops from now on, those before the start included; then clients may come."""
     if keeper is None:
         return asyncio.get_running_loop().create_future()

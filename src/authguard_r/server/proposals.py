@@ -22,7 +22,7 @@ from authguard_r.core.ports import Turn
 from authguard_r.core.reasons import Reason
 from authguard_r.enforcement.report import Report
 from authguard_r.server.replayed_response import retold
-from authguard_r.store.transactions import Act, Ledger, read_held
+from authguard_r.store.transactions import Ledger, Transaction, read_held
 from authguard_r.wire.disclosure import Disclosure, disclosed
 
 #: Answers that are remembered beside the store.
@@ -30,7 +30,7 @@ _MOST_KNOWN = 1_024
 _KIND = "proposal"
 
 
-class Answered(Struct, frozen=True, kw_only=True):
+class ProposalAnswer(Struct, frozen=True, kw_only=True):
     """What became of a proposal so far.
 
     Args:
@@ -50,7 +50,7 @@ class Answered(Struct, frozen=True, kw_only=True):
 Numbers = tuple[int, int]
 
 
-class Kept(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class ProposalRecord(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """What is held of a proposal: where the log has it.
 
     Args:
@@ -73,12 +73,12 @@ class Keeper:
         before: what is held of it without this step.
     """
 
-    def __init__(self, client: Identifier, key: str, before: Kept) -> None:
+    def __init__(self, client: Identifier, key: str, before: ProposalRecord) -> None:
         self._place = _place(client, key)
         self._before = before
         self.numbers: tuple[Numbers, ...] = ()
 
-    def __call__(self, act: Act, report: Report, seq: int) -> None:
+    def __call__(self, act: Transaction, report: Report, seq: int) -> None:
         """Hold the number of the record that this turn has just made (`running.Keep`)."""
         self.numbers = ((seq, -1),) if report.outcome is None else ((self._decided(), seq),)
         steps = (*self._before.steps, *self.numbers)
@@ -88,7 +88,7 @@ class Keeper:
         return self.numbers[0][0]
 
 
-class Proposals:
+class ProposalRegistry:
     """What is recorded of proposals, by client and key.
 
     Args:
@@ -99,9 +99,9 @@ class Proposals:
     def __init__(self, ledger: Ledger, disclosure: Disclosure) -> None:
         self._ledger = ledger
         self._disclosure = disclosure
-        self._known: OrderedDict[str, Answered] = OrderedDict()
+        self._known: OrderedDict[str, ProposalAnswer] = OrderedDict()
 
-    def recall(self, client: Identifier, key: str, evidence: Digest) -> Answered | None:
+    def recall(self, client: Identifier, key: str, evidence: Digest) -> ProposalAnswer | None:
         """Return what became of an earlier proposal under this key, None for a new one.
 
         Raises:
@@ -114,14 +114,14 @@ class Proposals:
             require_same_plan(known.evidence, evidence)
         return known
 
-    def _told(self, turn: Turn, place: str) -> Answered | None:
+    def _told(self, turn: Turn, place: str) -> ProposalAnswer | None:
         """Return what is held under a key, told again from the log."""
         held = turn.get(_KIND, place)
         if held is None:
             return None
-        kept = read_held(held, Kept, _KIND)
+        kept = read_held(held, ProposalRecord, _KIND)
         steps = tuple(disclosed(self._step(turn, *n), self._disclosure) for n in kept.steps)
-        return Answered(evidence=kept.evidence, planned=kept.planned, steps=steps)
+        return ProposalAnswer(evidence=kept.evidence, planned=kept.planned, steps=steps)
 
     def _step(self, turn: Turn, decided: int, ended: int) -> dict[str, Any]:
         decision, sealed = self._record(turn, decided)
@@ -137,7 +137,7 @@ class Proposals:
         row = self._ledger.opened(rows[0])
         return read_record(row.record, where=where), read_sealed(row.sealed, where=where)
 
-    def remember(self, client: Identifier, key: str, answered: Answered) -> None:
+    def remember(self, client: Identifier, key: str, answered: ProposalAnswer) -> None:
         """Remember an answer for a while."""
         self._known[_place(client, key)] = answered
         if len(self._known) > _MOST_KNOWN:

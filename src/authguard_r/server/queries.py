@@ -24,16 +24,16 @@ from authguard_r.core.ports import Turn
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Standing, use_of
-from authguard_r.enforcement.inputs import Intake
+from authguard_r.enforcement.inputs import InputVerifier
 from authguard_r.enforcement.leases import quietly
 from authguard_r.enforcement.report import Report
 from authguard_r.server.explanation import explanation, is_refused_proposal, no_record
-from authguard_r.server.fair_queue import Client
-from authguard_r.server.lease_registry import Motions
+from authguard_r.server.fair_queue import ServedClient
+from authguard_r.server.lease_registry import LeaseRegistry
 from authguard_r.server.liveness import Liveness, MissionPhase
 from authguard_r.server.wiring import Gate
 from authguard_r.store.issued_missions import damaged, issued
-from authguard_r.store.transactions import Act, stop_stands
+from authguard_r.store.transactions import Transaction, stop_stands
 from authguard_r.wire.messages import ClientRole
 
 #: Longest page of the log, in bytes of records.
@@ -42,7 +42,7 @@ _PAGE_BYTES = 1 << 21
 _LOOKED = 1_000
 
 
-class View:
+class GateQueries:
     """What may be read.
 
     Args:
@@ -58,9 +58,9 @@ class View:
         gate: Gate,
         config: GateConfig,
         *,
-        motions: Motions,
+        motions: LeaseRegistry,
         liveness: Liveness,
-        clients: Callable[[], Iterable[Client]],
+        clients: Callable[[], Iterable[ServedClient]],
     ) -> None:
         self._gate = gate
         self._config = config
@@ -282,7 +282,7 @@ class View:
         except AuthGuardError:
             return None  # revoked since, or gone: the record is explained without a change
 
-    def _mission(self, act: Act) -> dict[str, Any] | None:
+    def _mission(self, act: Transaction) -> dict[str, Any] | None:
         intake = self._gate.enforcer.intake
         self._issued = [_shown_issued(act, intake, one) for one in issued(act)]
         self._damaged = damaged(act)
@@ -320,7 +320,7 @@ def _written(turn: Turn) -> dict[str, int] | None:
     return {**msgspec.to_builtins(found.growth), "counted": found.upto}
 
 
-def _shown_issued(act: Act, intake: Intake, standing: Standing) -> dict[str, Any]:
+def _shown_issued(act: Transaction, intake: InputVerifier, standing: Standing) -> dict[str, Any]:
     """Return what `status` says of an issued mission; a damaged token says nothing of itself."""
     try:
         mission = intake.held(act, standing.digest).mission

@@ -66,7 +66,7 @@ class Unexplained(Struct, frozen=True):
     since_ms: int
 
 
-class RemoteFlight:
+class RemoteGoal:
     """One dispatched action, as far as the controller has told (`core.ports.Flight`)."""
 
     def __init__(self, dispatched_ms: int) -> None:
@@ -114,7 +114,7 @@ class RemoteController:
         self._admit: Callable[[Action, Lease], None] = lambda _action, _lease: None
         self._renew_within_ms = renew_within_ms
         self._send: Send | None = None
-        self._flights: dict[Digest, RemoteFlight] = {}
+        self._flights: dict[Digest, RemoteGoal] = {}
         self._life = 0
         self._stops = 0
         self._halts = 0
@@ -175,7 +175,7 @@ class RemoteController:
         for flight in self._flights.values():
             flight.leave()
 
-    def dispatch(self, action: Action, lease: Lease) -> RemoteFlight:
+    def dispatch(self, action: Action, lease: Lease) -> RemoteGoal:
         """Send a released action.
 
         Raises:
@@ -184,7 +184,7 @@ class RemoteController:
         if self._send is None:
             raise ControllerError("no controller is connected")
         self._admit(action, lease)
-        flight = self._flights[lease.ticket] = RemoteFlight(self._mono_ms())
+        flight = self._flights[lease.ticket] = RemoteGoal(self._mono_ms())
         self._send(
             Kind.DISPATCH,
             Dispatch(
@@ -320,7 +320,7 @@ class RemoteController:
         self._flights.pop(ticket, None)
 
 
-class ShadowFlight:
+class ShadowGoal:
     """An action that the old road carries out: assumed to succeed (`core.ports.Flight`)."""
 
     def outcome(self) -> Outcome:
@@ -335,9 +335,9 @@ class ShadowFlight:
 class ShadowController:
     """Stands where a gate in shadow mode has no controller: nothing is released to anybody."""
 
-    def dispatch(self, action: Action, lease: Lease) -> ShadowFlight:  # noqa: ARG002
+    def dispatch(self, action: Action, lease: Lease) -> ShadowGoal:  # noqa: ARG002
         """Return the assumption."""
-        return ShadowFlight()
+        return ShadowGoal()
 
     def stop(self) -> None:
         """Do nothing: this gate moves nothing."""

@@ -19,7 +19,7 @@ STUCK = "sealed fields are not destroyed"
 EVERY_MS = 60_000
 
 
-class Retirement:
+class RetentionWork:
     """Ends what was kept as long as it may be, and destroys what was ordered.
 
     Args:

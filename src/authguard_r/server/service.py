@@ -25,26 +25,26 @@ from authguard_r.enforcement.leases import quietly
 from authguard_r.enforcement.report import Report, refusal_entry
 from authguard_r.normalize import Binder
 from authguard_r.server.braking import Braking, brakes_of
-from authguard_r.server.dispatcher import Desk
-from authguard_r.server.event_bus import Notices
-from authguard_r.server.event_log import Journal
-from authguard_r.server.fair_queue import Client, Ring
-from authguard_r.server.lease_registry import Motions
+from authguard_r.server.dispatcher import Dispatcher
+from authguard_r.server.event_bus import EventBus
+from authguard_r.server.event_log import EventLog
+from authguard_r.server.fair_queue import FairQueue, ServedClient
+from authguard_r.server.lease_registry import LeaseRegistry
 from authguard_r.server.liveness import Liveness
-from authguard_r.server.log_maintenance import Vigil
+from authguard_r.server.log_maintenance import LogMaintenance
 from authguard_r.server.periodic import every, first
-from authguard_r.server.plan_reader import Reader
+from authguard_r.server.plan_reader import PlanReader
 from authguard_r.server.plans import Plans
-from authguard_r.server.proposals import Proposals
-from authguard_r.server.queries import View
+from authguard_r.server.proposals import ProposalRegistry
+from authguard_r.server.queries import GateQueries
 from authguard_r.server.recovery import Recovery
 from authguard_r.server.remote_controller import RemoteController
-from authguard_r.server.retention import Retirement
-from authguard_r.server.sessions import Session
-from authguard_r.server.state_inbox import Inbox
-from authguard_r.server.stop_recorder import StopBook
+from authguard_r.server.retention import RetentionWork
+from authguard_r.server.sessions import ServerSession
+from authguard_r.server.state_inbox import StateInbox
+from authguard_r.server.stop_recorder import StopRecorder
 from authguard_r.server.streams import Streams
-from authguard_r.server.what_if import Foresight
+from authguard_r.server.what_if import WhatIf
 from authguard_r.server.wiring import Gate
 from authguard_r.wire.frames import Frame
 from authguard_r.wire.messages import ClientRole, Hello, Kind, Mode, Welcome
@@ -62,7 +62,7 @@ VIGIL_S = 0.1
 
 
 class Service:
-    """A gate and its clients (`gate.sessions.Hall`).
+    """A gate and its clients (`sessions.ConnectionHost`).
 
     Args:
         gate: enforcer, management, ledger.
@@ -86,14 +86,14 @@ class Service:
         config: GateConfig,
         *,
         binder: Binder,
-        reader: Reader,
+        reader: PlanReader,
         channels: dict[str, str],
         signer: Signer,
-        inbox: Inbox,
+        inbox: StateInbox,
         controller: RemoteController | None,
         streams: Streams | None,
         recovery: Recovery,
-        journal: Journal,
+        journal: EventLog,
         advance: Callable[[bool], None] | None = None,
     ) -> None:
         self.gate = gate
@@ -105,28 +105,28 @@ class Service:
         self._advance = advance
         self._recovery = recovery
         self._journal = journal
-        self._sessions: set[Session] = set()
-        self._clients: set[Client] = set()
+        self._sessions: set[ServerSession] = set()
+        self._clients: set[ServedClient] = set()
         self._users: Counter[int] = Counter()
-        self._ring = Ring(self._shed)
+        self._ring = FairQueue(self._shed)
         self._turning = self._closing = False
-        self._foresight = Foresight(gate, controller, wait_ms=config.state_wait_ms)
-        self.motions = Motions(controller, streams)
-        self.notices = Notices(gate.ledger, lambda: self._clients, journal)
+        self._foresight = WhatIf(gate, controller, wait_ms=config.state_wait_ms)
+        self.motions = LeaseRegistry(controller, streams)
+        self.notices = EventBus(gate.ledger, lambda: self._clients, journal)
         self.liveness = Liveness(config, gate.ledger.mono_ms, self.notices.alert)
-        self.vigil = Vigil(gate.anchor, self.liveness, self.notices)
-        self.view = View(
+        self.vigil = LogMaintenance(gate.anchor, self.liveness, self.notices)
+        self.view = GateQueries(
             gate,
             config,
             motions=self.motions,
             liveness=self.liveness,
             clients=lambda: self._clients,
         )
-        self.retirement = Retirement(
+        self.retirement = RetentionWork(
             gate.management, gate.ledger.mono_ms, self.liveness, self.view.mission_changed
         )
         self.stops, self._braking = self._stopping()
-        self.desk = self._desk = Desk(
+        self.desk = self._desk = Dispatcher(
             gate,
             plans=self._plans(binder, reader, channels),
             motions=self.motions,
@@ -141,9 +141,9 @@ class Service:
             refused=lambda client, error: self.refused(client.name, error),
         )
 
-    def _stopping(self) -> tuple[StopBook, Braking]:
+    def _stopping(self) -> tuple[StopRecorder, Braking]:
         """Return who writes stops down, and who carries out those that come to the gate itself."""
-        book = StopBook(
+        book = StopRecorder(
             self.gate.enforcer,
             self._controller,
             view=self.view,
@@ -156,13 +156,13 @@ class Service:
             self.gate, self._controller, self._config.mode, book=book, motions=self.motions
         )
 
-    def _plans(self, binder: Binder, reader: Reader, channels: dict[str, str]) -> Plans:
+    def _plans(self, binder: Binder, reader: PlanReader, channels: dict[str, str]) -> Plans:
         return Plans(
             self.gate.enforcer,
             binder,
             reader=reader,
             motions=self.motions,
-            proposals=Proposals(self.gate.ledger, self._config.disclosure),
+            proposals=ProposalRegistry(self.gate.ledger, self._config.disclosure),
             channels=channels,
             foresight=self._foresight,
             disclosure=self._config.disclosure,
@@ -180,9 +180,9 @@ class Service:
         """The signed configuration."""
         return self._config
 
-    def connect(self) -> Session:
+    def connect(self) -> ServerSession:
         """Return the protocol of a new connection."""
-        session = Session(self, asyncio.get_running_loop().call_later)
+        session = ServerSession(self, asyncio.get_running_loop().call_later)
         self._sessions.add(session)
         return session
 
@@ -196,7 +196,7 @@ class Service:
         digests = {"site": self.gate.facts.digest, "binding": self._binding}
         return welcome_of(hello, self._config, self._signer, **digests)
 
-    def entered(self, client: Client) -> None:
+    def entered(self, client: ServedClient) -> None:
         """Take a client in; the first controller keeps its place.
 
         Raises:
@@ -208,7 +208,7 @@ class Service:
         self._hear(client)
         self._announce(client, here=True)
 
-    def came(self, client: Client, item: Frame, *, alone: bool) -> None:
+    def came(self, client: ServedClient, item: Frame, *, alone: bool) -> None:
         """Let a frame wait for its turn; one that comes alone when nobody waits has it now."""
         self._hear(client)
         if item.kind is Kind.STOP:  # before anybody's turn
@@ -221,12 +221,12 @@ class Service:
         else:
             self._turn_soon()
 
-    def reads(self, client: Client) -> None:
+    def reads(self, client: ServedClient) -> None:
         """Serve what waits of a client that was put aside: it reads again, or it is gone."""
         self._ring.reads(client)
         self._turn_soon()
 
-    def left(self, session: Session, client: Client | None) -> None:
+    def left(self, session: ServerSession, client: ServedClient | None) -> None:
         """Let a connection go; a controller that goes is looked at at once."""
         self._sessions.discard(session)
         self._users[session.uid] -= 1
@@ -272,7 +272,7 @@ class Service:
         if self._advance is not None and self.motions:
             self._look()
 
-    def _serve(self, client: Client, item: Frame) -> None:
+    def _serve(self, client: ServedClient, item: Frame) -> None:
         """Serve a request; what the last run left open is settled with the first snapshot."""
         self._desk.serve(client, item)
         if self._recovery.after(item.kind):
@@ -291,38 +291,38 @@ class Service:
             status = self.view.mission_status
             self.notices.publish({"event": "recovery", "unclean": True, "status": status})
 
-    def _later(self, client: Client, act: Callable[[], None], *, first: bool = False) -> None:
+    def _later(self, client: ServedClient, act: Callable[[], None], *, first: bool = False) -> None:
         self._ring.put(client, act, first=first)
         self._turn_soon()
 
-    def _shed(self, client: Client) -> None:
+    def _shed(self, client: ServedClient) -> None:
         """Count a proposal that was shed; a row of them is one refusal in the log."""
         self.view.counted["shed"] += 1
         if client.shed == 1:
             self.refused(client.name, EnvironmentFault("shed unread", reason=Reason.BUSY))
 
-    def _hear(self, client: Client) -> None:
+    def _hear(self, client: ServedClient) -> None:
         client.heard_ms = self.gate.ledger.mono_ms()
         self.liveness.hear(client.role)
 
     # what is told
 
-    def _announce(self, client: Client, *, here: bool) -> None:
+    def _announce(self, client: ServedClient, *, here: bool) -> None:
         told = {"client": client.name, "role": client.role, "here": here}
         self.notices.publish({"event": "client", **told})
 
-    def _decided(self, client: Client, report: Report) -> None:
+    def _decided(self, client: ServedClient, report: Report) -> None:
         """Count and publish a decision."""
         self.view.count_decision(report)
         self._desk.questions.decided(report)
         self._tell("decision", client, report)
 
-    def _ended(self, client: Client, report: Report) -> None:
+    def _ended(self, client: ServedClient, report: Report) -> None:
         """Count and publish an outcome."""
         self.view.count_outcome(report)
         self._tell("outcome", client, report)
 
-    def _tell(self, event: str, client: Client, report: Report) -> None:
+    def _tell(self, event: str, client: ServedClient, report: Report) -> None:
         """Tell those who watch, and stop a robot whose planner gets nowhere."""
         if self.notices.wanted:
             self.notices.publish({"event": event, "client": client.name, **report_json(report)})

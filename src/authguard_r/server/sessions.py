@@ -17,7 +17,7 @@ from authguard_r.access.peers import Socket, client_role, peer_of
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault, MalformedError
 from authguard_r.core.identifiers import Identifier, is_identifier
 from authguard_r.core.reasons import Reason
-from authguard_r.server.fair_queue import Client
+from authguard_r.server.fair_queue import ServedClient
 from authguard_r.wire.faults import to_fault
 from authguard_r.wire.frames import Frame, FrameReader, frame, read_body
 from authguard_r.wire.messages import (
@@ -43,7 +43,7 @@ _CHUNK = 1 << 12
 _KEPT_FILES = 80
 
 
-class Hall(Protocol):
+class ConnectionHost(Protocol):
     """What a connection needs of the service."""
 
     @property
@@ -59,7 +59,7 @@ class Hall(Protocol):
         """Return the answer to a hello that is taken."""
         ...
 
-    def entered(self, client: Client) -> None:
+    def entered(self, client: ServedClient) -> None:
         """Take a client in.
 
         Raises:
@@ -67,15 +67,15 @@ class Hall(Protocol):
         """
         ...
 
-    def came(self, client: Client, item: Frame, *, alone: bool) -> None:
+    def came(self, client: ServedClient, item: Frame, *, alone: bool) -> None:
         """Take in a frame of a client; `alone` when nothing came behind it."""
         ...
 
-    def reads(self, client: Client) -> None:
+    def reads(self, client: ServedClient) -> None:
         """Serve what waits of a client that was put aside: it reads again, or it is gone."""
         ...
 
-    def left(self, session: Session, client: Client | None) -> None:
+    def left(self, session: ServerSession, client: ServedClient | None) -> None:
         """Let a connection go."""
         ...
 
@@ -84,8 +84,8 @@ class Hall(Protocol):
         ...
 
 
-class Session(asyncio.BufferedProtocol):
-    """One connection (`gate.clients.Line`).
+class ServerSession(asyncio.BufferedProtocol):
+    """One connection (`fair_queue.ClientLine`).
 
     Args:
         hall: the service.
@@ -93,7 +93,9 @@ class Session(asyncio.BufferedProtocol):
     """
 
     def __init__(
-        self, hall: Hall, later: Callable[[float, Callable[[], None]], asyncio.TimerHandle]
+        self,
+        hall: ConnectionHost,
+        later: Callable[[float, Callable[[], None]], asyncio.TimerHandle],
     ) -> None:
         self._hall = hall
         self._later = later
@@ -104,7 +106,7 @@ class Session(asyncio.BufferedProtocol):
         self._frame_timer: asyncio.TimerHandle | None = None
         self._paused = False
         self._over = False
-        self.client: Client | None = None
+        self.client: ServedClient | None = None
         self.uid = -1
         self.name = Identifier("unknown")
 
@@ -238,7 +240,7 @@ class Session(asyncio.BufferedProtocol):
         name = f"u{self.uid}.{hello.client}"
         if not is_identifier(name):
             raise MalformedError("expected a shorter name", where="hello.client")
-        client = Client(self, role=role, name=Identifier(name), uid=self.uid)
+        client = ServedClient(self, role=role, name=Identifier(name), uid=self.uid)
         self._hall.entered(client)
         self._cancel()
         self.client, self.name = client, client.name

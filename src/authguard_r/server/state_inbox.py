@@ -6,11 +6,11 @@ Spec page: docs/spec/gate-protocol.md#state
 
 from __future__ import annotations
 
-from authguard_r.server.fair_queue import Client
+from authguard_r.server.fair_queue import ServedClient
 from authguard_r.wire.messages import Fence
 
 
-class Inbox:
+class StateInbox:
     """Holds the newest snapshot token (`core.ports.StateSource`); nothing in it is believed yet.
 
     Every estimator is told the newest fence with its first snapshot, and each new one as it comes.
@@ -19,9 +19,9 @@ class Inbox:
     def __init__(self) -> None:
         self._newest: bytes | None = None
         self._fence = Fence(fence=0)
-        self._estimators: set[Client] = set()
+        self._estimators: set[ServedClient] = set()
 
-    def put(self, token: bytes, estimator: Client) -> None:
+    def put(self, token: bytes, estimator: ServedClient) -> None:
         """Put a snapshot in the place of the one before."""
         self._newest = token
         if estimator not in self._estimators:

@@ -17,11 +17,11 @@ from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import Identifier
 from authguard_r.enforcement.enforcer import Enforcer
 from authguard_r.estop.stop_queue import SUSPENDING
-from authguard_r.server.event_bus import Notices
-from authguard_r.server.fair_queue import Client
-from authguard_r.server.lease_registry import Motions
+from authguard_r.server.event_bus import EventBus
+from authguard_r.server.fair_queue import ServedClient
+from authguard_r.server.lease_registry import LeaseRegistry
 from authguard_r.server.liveness import Liveness
-from authguard_r.server.queries import View
+from authguard_r.server.queries import GateQueries
 from authguard_r.server.remote_controller import RemoteController
 from authguard_r.wire.messages import ClientRole, Stop, StopHeard
 
@@ -36,7 +36,7 @@ _GONE = "the stop lane is gone"
 _SILENT = "the stop lane does not answer"
 
 
-class _Told(Struct, frozen=True, kw_only=True):
+class _ToldStop(Struct, frozen=True, kw_only=True):
     """A stop as the lane, or the gate itself, tells of it.
 
     Args:
@@ -74,7 +74,7 @@ class _Known(Struct, frozen=True):
     is_whole: bool = False
 
 
-class StopBook:
+class StopRecorder:
     """Hears of every stop (`gate.lane.keeper.Listener`).
 
     Args:
@@ -92,10 +92,10 @@ class StopBook:
         enforcer: Enforcer,
         controller: RemoteController | None,
         *,
-        view: View,
-        motions: Motions,
+        view: GateQueries,
+        motions: LeaseRegistry,
         liveness: Liveness,
-        notices: Notices,
+        notices: EventBus,
         mono_ms: Callable[[], int],
     ) -> None:
         self._enforcer = enforcer
@@ -121,7 +121,7 @@ class StopBook:
             self._enforcer.stopping.hold()
             self._view.mission_changed()
 
-    def taken(self, client: Client, stop: Stop, stood_ms: int | None, more: int) -> None:
+    def taken(self, client: ServedClient, stop: Stop, stood_ms: int | None, more: int) -> None:
         """Record a stop that the gate itself carried out, unless the lane did and told of it.
 
         Args:
@@ -130,7 +130,7 @@ class StopBook:
             stood_ms: after how long the robot stood; None: nobody confirmed it.
             more: later stops of the same user and role that were folded into this one.
         """
-        told = _Told(
+        told = _ToldStop(
             by=client.name,
             uid=client.uid,
             role=client.role,
@@ -150,7 +150,7 @@ class StopBook:
         if name in self._known:
             return
         self._known.append(name)
-        told = _Told(
+        told = _ToldStop(
             by=Identifier(f"u{heard.uid}.{heard.by}"),
             uid=heard.uid,
             role=heard.role,
@@ -176,7 +176,7 @@ class StopBook:
         self._liveness.holds(_GONE, is_so=False)
         self._liveness.holds(_SILENT, is_so=is_silent)
 
-    def _note(self, told: _Told, details: dict[str, Any], *, suspends: bool) -> None:
+    def _note(self, told: _ToldStop, details: dict[str, Any], *, suspends: bool) -> None:
         """Record a stop, once; one that is confirmed later has a second record, without `why`."""
         known = self._recall(told)
         if known is None:
@@ -188,7 +188,7 @@ class StopBook:
             if told.stood_ms is not None:
                 self._confirm(told)
 
-    def _recall(self, told: _Told) -> _Known | None:
+    def _recall(self, told: _ToldStop) -> _Known | None:
         """Return what is known of the same stop.
 
         Lane and gate each tell of it, and tell again while nobody confirms it. Once it is confirmed
@@ -211,7 +211,7 @@ class StopBook:
         self._keys[name] = _Known(told.by_lane, now_ms, told.stood_ms is not None)
         return known
 
-    def _record(self, told: _Told, details: dict[str, Any], *, suspends: bool) -> None:
+    def _record(self, told: _ToldStop, details: dict[str, Any], *, suspends: bool) -> None:
         by, role, stood_ms = told.by, told.role, told.stood_ms
         too_many = self._enforcer.stopped(
             by=by,
@@ -228,7 +228,7 @@ class StopBook:
         self._publish(told)
         self._unconfirmed(is_so=stood_ms is None, by=by)
 
-    def _confirm(self, told: _Told) -> None:
+    def _confirm(self, told: _ToldStop) -> None:
         """Record the end of a stop that nobody had confirmed; a planner's has no such record."""
         if told.role is not ClientRole.PLANNER:
             details = {"stood_ms": told.stood_ms, "confirms": True}
@@ -236,7 +236,7 @@ class StopBook:
         self._publish(told)
         self._unconfirmed(is_so=False, by=told.by)
 
-    def _publish(self, told: _Told) -> None:
+    def _publish(self, told: _ToldStop) -> None:
         event = {"event": "stop", "by": told.by, "role": told.role, "stood_ms": told.stood_ms}
         self._notices.publish(event)
 

@@ -41,7 +41,7 @@ RECORD_MS = 1_000
 StoppingWay = Callable[[int], int | None]
 
 
-class Why(StrEnum):
+class StreamEnd(StrEnum):
     """Why the gate told a controller that a stream is over; every other end is the outcome's."""
 
     PLANNER = "planner"
@@ -49,7 +49,7 @@ class Why(StrEnum):
     GONE = "planner gone"
 
 
-class _Seen(Struct, kw_only=True):
+class _SampleTally(Struct, kw_only=True):
     """What went by since the last record."""
 
     samples: int = 0
@@ -62,7 +62,7 @@ class _Seen(Struct, kw_only=True):
 class _Closed(Struct, frozen=True):
     """Why a stream was ended, and when its controller was told so."""
 
-    why: Why
+    why: StreamEnd
     at_ms: int
 
 
@@ -82,7 +82,7 @@ class _Stream:
         self.lease: Lease = running.lease
         self.names = frozenset(judged.action.params) - {DURATION}
         self.limits: tuple[Limit, ...] = (*match.indexed.grant.limits, *mission.limits)
-        self.seen = _Seen()
+        self.seen = _SampleTally()
         self.digest = sha256()
         self.recorded_ms = now_ms
         self.ends_ms = now_ms + judged.action.params[DURATION]
@@ -182,7 +182,7 @@ class Streams:
         Raises:
             RefusedError: no such stream of this client.
         """
-        self._end(ticket, self._of(client, ticket), Why.PLANNER)
+        self._end(ticket, self._of(client, ticket), StreamEnd.PLANNER)
 
     def ended(self, ticket: Digest) -> None:
         """Write the last record of a stream whose action has ended."""
@@ -196,13 +196,13 @@ class Streams:
         due_ms = now_ms - RECORD_MS
         for ticket, stream in self._open.items():
             if now_ms >= stream.ends_ms:
-                self._end(ticket, stream, Why.DURATION)
+                self._end(ticket, stream, StreamEnd.DURATION)
             elif stream.sampled and stream.gone():
-                self._end(ticket, stream, Why.GONE)
+                self._end(ticket, stream, StreamEnd.GONE)
             if stream.recorded_ms <= due_ms and stream.seen.samples:
                 self._record(ticket, stream, last=False)
 
-    def _end(self, ticket: Digest, stream: _Stream, why: Why) -> None:
+    def _end(self, ticket: Digest, stream: _Stream, why: StreamEnd) -> None:
         """Tell the controller, once, that a stream is over."""
         if stream.closed is None:
             stream.closed = _Closed(why, self._ledger.mono_ms())
@@ -251,7 +251,7 @@ class Streams:
         return bool(places) and places <= frozenset(lease.regions)
 
     def _record(self, ticket: Digest, stream: _Stream, *, last: bool) -> None:
-        seen, stream.seen = stream.seen, _Seen()
+        seen, stream.seen = stream.seen, _SampleTally()
         stream.recorded_ms = self._ledger.mono_ms()
         opened: dict[str, Any] = {
             "ticket": ticket,

@@ -23,13 +23,13 @@ from authguard_r.server.remote_controller import RemoteController
 from authguard_r.server.wiring import Gate
 
 
-class _Held(Struct, frozen=True):
+class _WaitingStep(Struct, frozen=True):
     step: Step
     until_ms: int
     go_on: Callable[[int], None]
 
 
-class Foresight:
+class WhatIf:
     """Asks both gates without any effect, and keeps steps for which newer state is awaited.
 
     Args:
@@ -43,7 +43,7 @@ class Foresight:
         self._gate = gate
         self._controller = controller
         self._wait_ms = wait_ms
-        self._held: list[_Held] = []
+        self._held: list[_WaitingStep] = []
         self._seen: object = None
         self._is_closed = False
 
@@ -59,7 +59,7 @@ class Foresight:
         until = now_ms + self._wait_ms if until_ms is None else until_ms
         if self._is_closed or now_ms >= until or (self._can_stop() and not self._is_early(step)):
             return False
-        self._held.append(_Held(step, until, go_on))
+        self._held.append(_WaitingStep(step, until, go_on))
         return True
 
     def close(self) -> None:

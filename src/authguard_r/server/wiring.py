@@ -15,8 +15,8 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from msgspec import Struct
 from msgspec.structs import replace
 
-from authguard_r.anchoring.anchor import Anchor, Reading, read_counter
-from authguard_r.anchoring.checkpoint_scheduler import Notary, NotaryPolicy
+from authguard_r.anchoring.anchor import CounterReading, StoreAnchor, read_counter
+from authguard_r.anchoring.checkpoint_scheduler import CheckpointPolicy, CheckpointScheduler
 from authguard_r.anchoring.counter import Counter
 from authguard_r.anchoring.sealing import SealingPolicy
 from authguard_r.anchoring.sealing.sealer import sealer_of
@@ -36,8 +36,8 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
 from authguard_r.enforcement.enforcer import Enforcer
-from authguard_r.enforcement.inputs import Intake
-from authguard_r.enforcement.leases import STAND_WITHIN_MS, Watch, quietly
+from authguard_r.enforcement.inputs import InputVerifier
+from authguard_r.enforcement.leases import STAND_WITHIN_MS, LeaseMonitor, quietly
 from authguard_r.enforcement.management import Management
 from authguard_r.enforcement.management.lists import Lists
 from authguard_r.keys.clock_floor import boot_ms, chain_ms
@@ -65,11 +65,11 @@ class Gate(Struct, frozen=True, kw_only=True):
     enforcer: Enforcer
     management: Management
     lists: Lists
-    anchor: Anchor
+    anchor: StoreAnchor
     ledger: Ledger
     facts: SiteFacts
     safety: SafetyGate
-    watch: Watch
+    watch: LeaseMonitor
     trust: Trust
 
     def ended(self) -> bool:
@@ -102,7 +102,7 @@ def assemble(
     risk: tuple[RiskPolicy, ...] = (),
     counter: Counter | None = None,
     signer: Signer | None = None,
-    notary: NotaryPolicy = NotaryPolicy(),  # noqa: B008 - frozen
+    notary: CheckpointPolicy = CheckpointPolicy(),  # noqa: B008 - frozen
     sealing: SealingPolicy | None = None,
     sealed: dict[str, object] | None = None,
 ) -> Gate:
@@ -156,13 +156,13 @@ def assemble(
             sealer=sealer,
         )
         _require_same_log(ledger, trust, marks or {})
-        keeps = Notary(ledger, robot=rid, signer=signer, policy=notary)
+        keeps = CheckpointScheduler(ledger, robot=rid, signer=signer, policy=notary)
         anchor = _anchor(ledger, counter, signer=signer, reading=reading, keeps=keeps)
     except BaseException:
         store.close()  # it was handed over; a gate that is not made holds nothing
         raise
-    intake = Intake(ledger, trust, source=source, facts=facts, anchor=anchor)
-    watch = Watch(
+    intake = InputVerifier(ledger, trust, source=source, facts=facts, anchor=anchor)
+    watch = LeaseMonitor(
         ledger, intake, facts=facts, controller=controller, stand_within_ms=stand_within_ms
     )
     enforcer = Enforcer(ledger, intake, facts=facts, safety=safety, watch=watch, clock=clock)
@@ -187,12 +187,14 @@ def _anchor(
     counter: Counter | None,
     *,
     signer: Signer | None,
-    reading: Reading,
-    keeps: Notary,
-) -> Anchor:
+    reading: CounterReading,
+    keeps: CheckpointScheduler,
+) -> StoreAnchor:
     """Return the store's anchor; the key signs its counter's notes where there is one."""
     key, rid = None if counter is None else signer, ledger.robot
-    return Anchor(ledger, robot=rid, counter=counter, signer=key, reading=reading, notary=keeps)
+    return StoreAnchor(
+        ledger, robot=rid, counter=counter, signer=key, reading=reading, notary=keeps
+    )
 
 
 def _lists(ledger: Ledger, enforcer: Enforcer, trust: Trust, *, chain: tuple[bytes, ...]) -> Lists:

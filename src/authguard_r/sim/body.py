@@ -9,7 +9,7 @@ from authguard_r.core.action import Action
 from authguard_r.core.identifiers import Digest, ParameterId
 from authguard_r.core.standing import Outcome
 from authguard_r.sim.motion import asked_velocity
-from authguard_r.sim.robot import SimFlight, SymbolicRobot
+from authguard_r.sim.robot import SimulatedGoal, SymbolicRobot
 from authguard_r.sim.world import DURATION, LATERAL, LINEAR, TURNING
 
 _STREAM = "drive"
@@ -49,7 +49,7 @@ class SymbolicBody:
         """Return False: it does one action at a time."""
         return False
 
-    def begin(self, action: Action, ticket: Digest) -> SimFlight:  # noqa: ARG002 - the port's
+    def begin(self, action: Action, ticket: Digest) -> SimulatedGoal:  # noqa: ARG002 - the port's
         """Begin an action.
 
         Raises:

@@ -11,9 +11,9 @@ import asyncio
 from collections.abc import Callable
 from pathlib import Path
 
-from authguard_r.client.attesting import Attester, AttestingEnd, Seen
+from authguard_r.client.attesting import Attester, AttestingEnd, Measurement
 from authguard_r.client.handshake import GateVerifier
-from authguard_r.client.link import Log, require_folder, run_all, until_told, wall_now
+from authguard_r.client.link import ProcessLog, require_folder, run_all, until_told, wall_now
 from authguard_r.client.sensing import listen, read_raw
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.principals import Signer
@@ -33,7 +33,7 @@ class Estimator:
     def __init__(self, robot: RobotId, signer: Signer, *, epoch: int, rate_hz: int) -> None:
         self._robot = robot
         self.attester = Attester(signer, epoch=epoch, rate_hz=rate_hz)
-        self.seen: Seen | None = None
+        self.seen: Measurement | None = None
 
     def heard(self, item: Frame, now_ms: int) -> None:
         """Take raw values from the sensors.
@@ -66,7 +66,7 @@ class EstimatorProcess:
         rate_hz: int,
         ready: Callable[[], None],
     ) -> None:
-        self._log = Log()
+        self._log = ProcessLog()
         self._run = run
         self._estimator = Estimator(robot, signer, epoch=wall_now().utc_ms, rate_hz=rate_hz)
         self._end = AttestingEnd(

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from authguard_r.client.driver import TICK_S, Driver
 from authguard_r.client.handshake import GateVerifier
-from authguard_r.client.link import Log, mono_ms, require_folder, run_all, until_told
+from authguard_r.client.link import ProcessLog, mono_ms, require_folder, run_all, until_told
 from authguard_r.sim.body import SymbolicBody
 from authguard_r.sim.robot import SymbolicRobot
 from authguard_r.sim.sensors import LOOK_MS, SensorServer
@@ -41,7 +41,7 @@ class RobotProcess:
         ready: Callable[[], None],
     ) -> None:
         body = SymbolicBody(robot, speed_up=speed_up)
-        self.driver = Driver(body, run, trust=trust, log=Log(), ready=ready)
+        self.driver = Driver(body, run, trust=trust, log=ProcessLog(), ready=ready)
         self._sensors = SensorServer(run / SENSORS, robot.sensed, clock=mono_ms)
 
     async def serve(self, until: asyncio.Event) -> None:

@@ -86,7 +86,7 @@ class Executed(Struct, frozen=True, kw_only=True):
     outcome: Outcome | None
 
 
-class SimFlight:
+class SimulatedGoal:
     """One action while it runs (`core.ports.Flight`)."""
 
     def __init__(self, robot: SymbolicRobot, action: Action) -> None:
@@ -145,7 +145,7 @@ class SymbolicRobot:
         self._start_ms = start_ms
         self._epoch = epoch
         self._seq = 0
-        self._flight: SimFlight | None = None
+        self._flight: SimulatedGoal | None = None
         self._path: tuple[Point, ...] = ()
         self._path_done_um = 0
         self._left_ms = 0
@@ -201,7 +201,7 @@ class SymbolicRobot:
 
     # Controller
 
-    def dispatch(self, action: Action, lease: Lease) -> SimFlight:  # noqa: ARG002 - the gate watches
+    def dispatch(self, action: Action, lease: Lease) -> SimulatedGoal:  # noqa: ARG002 - the gate watches
         """Begin the action.
 
         Raises:
@@ -209,7 +209,7 @@ class SymbolicRobot:
         """
         return self.begin(action)
 
-    def begin(self, action: Action) -> SimFlight:
+    def begin(self, action: Action) -> SimulatedGoal:
         """Begin an action that leads where its way leads, to its end.
 
         Raises:
@@ -225,7 +225,7 @@ class SymbolicRobot:
             self._finish(flight)
         return flight
 
-    def begin_stream(self, action: Action) -> SimFlight:
+    def begin_stream(self, action: Action) -> SimulatedGoal:
         """Begin to move by a velocity, which `steer` changes, for as long as the action says.
 
         It leads where it leads; a wall is the end of it.
@@ -284,8 +284,8 @@ class SymbolicRobot:
         if self._flight is not None and self._flight.ended is None:
             raise ControllerError("another action runs")
 
-    def _fly(self, action: Action, took_ms: int) -> SimFlight:
-        self._flight = SimFlight(self, action)
+    def _fly(self, action: Action, took_ms: int) -> SimulatedGoal:
+        self._flight = SimulatedGoal(self, action)
         self._left_ms, self._path_done_um, self._velocity = took_ms, 0, None
         self.trace.append(
             Executed(action=action, before=self.state, utc_ms=self.wall_ms(), outcome=None)
@@ -317,7 +317,7 @@ class SymbolicRobot:
             if self._left_ms <= 0:
                 self._finish(flight)
 
-    def _drive(self, flight: SimFlight, tick_ms: int) -> None:
+    def _drive(self, flight: SimulatedGoal, tick_ms: int) -> None:
         speed = speed_of(flight.action) * self.faults.overspeed_permille // 1_000
         flight.moved_ms += tick_ms
         self._path_done_um += speed * tick_ms
@@ -327,7 +327,7 @@ class SymbolicRobot:
             return
         self._be_at(along(self._path, self._path_done_um // 1_000), speed)
 
-    def _drift(self, flight: SimFlight, velocity: Velocity, tick_ms: int) -> None:
+    def _drift(self, flight: SimulatedGoal, velocity: Velocity, tick_ms: int) -> None:
         """Move by a velocity; what is left below a millimeter is kept for the next tick."""
         flight.moved_ms += tick_ms
         there, self._rest_um = drifted(self.state, velocity, self._rest_um, tick_ms)
@@ -341,7 +341,7 @@ class SymbolicRobot:
         if self._left_ms <= 0:
             self._end(flight, Outcome.SUCCEEDED)
 
-    def _slow_down(self, flight: SimFlight, brake: Brake, tick_ms: int) -> None:
+    def _slow_down(self, flight: SimulatedGoal, brake: Brake, tick_ms: int) -> None:
         flight.moved_ms += tick_ms
         passed = self.elapsed_ms - brake.since_ms
         done, speed = brake.done_um + way_um(brake, passed), speed_after(brake, passed)
@@ -364,7 +364,7 @@ class SymbolicRobot:
         """True when the point is in a region: outside all of them there are walls."""
         return region_at(self.site, self.state, point) is not None
 
-    def _finish(self, flight: SimFlight) -> None:
+    def _finish(self, flight: SimulatedGoal) -> None:
         action = self._steered(flight.action)
         grips = flight.action.type in {"pick", "place"}
         after = delta(self.site, self.trace[-1].before, action)
@@ -377,7 +377,7 @@ class SymbolicRobot:
         )
         self._end(flight, Outcome.SUCCEEDED)
 
-    def _end(self, flight: SimFlight, outcome: Outcome) -> None:
+    def _end(self, flight: SimulatedGoal, outcome: Outcome) -> None:
         flight.ended = outcome
         self._brake = None
         self.trace[-1] = msgspec.structs.replace(self.trace[-1], outcome=outcome)
@@ -414,4 +414,4 @@ class SymbolicRobot:
         )
 
 
-__all__ = ["Executed", "Faults", "SimFlight", "SymbolicRobot", "snapshot_of"]
+__all__ = ["Executed", "Faults", "SimulatedGoal", "SymbolicRobot", "snapshot_of"]

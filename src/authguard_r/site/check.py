@@ -22,14 +22,14 @@ from authguard_r.site.units import unit_fault
 UNREVIEWED = "unreviewed"
 
 
-class Fault(Struct, frozen=True):
+class SiteFault(Struct, frozen=True):
     """One thing to mend: where, and what is expected there."""
 
     where: str
     message: str
 
 
-def faults(site: Site) -> tuple[Fault, ...]:
+def faults(site: Site) -> tuple[SiteFault, ...]:
     """Return every fault of the model, in the order of its parts; none when it is sound."""
     parts = (
         twin_faults,
@@ -45,7 +45,7 @@ def faults(site: Site) -> tuple[Fault, ...]:
         channel_faults,
         _sources,
     )
-    return tuple(Fault(where, message) for part in parts for where, message in part(site))
+    return tuple(SiteFault(where, message) for part in parts for where, message in part(site))
 
 
 def unreviewed(site: Site) -> tuple[str, ...]:

@@ -201,7 +201,7 @@ class Person(_Model, frozen=True, kw_only=True):
     names: tuple[str, ...] = ()
 
 
-class Emergency(_Model, frozen=True, kw_only=True):
+class EmergencyPlaces(_Model, frozen=True, kw_only=True):
     """Where a robot may be sent in an emergency.
 
     Args:
@@ -243,7 +243,7 @@ class Site(_Model, frozen=True, kw_only=True):
     vocabulary: dict[ActionType, ActionModel]
     doors: tuple[Door, ...] = ()
     people: dict[PrincipalId, Person] = {}
-    emergency: Emergency | None = None
+    emergency: EmergencyPlaces | None = None
     baseline: tuple[ActionType, ...] = ()
     channels: dict[Identifier, Label] = {}
     sources: Sources = {}

@@ -52,7 +52,7 @@ MOST_CHARACTERS = 200
 MOST_NAMES = 64
 
 
-class Named(Struct, frozen=True):
+class NamedThing(Struct, frozen=True):
     """One thing of the site with its spellings.
 
     Args:
@@ -92,12 +92,12 @@ def shown(name: str) -> str:
     )
 
 
-def named(site: Site) -> tuple[Named, ...]:
+def named(site: Site) -> tuple[NamedThing, ...]:
     """Return everything of the site that has external spellings."""
     return (
-        *(Named("regions", item, model.names) for item, model in site.regions.items()),
-        *(Named("objects", item, model.names) for item, model in site.objects.items()),
-        *(Named("people", item, model.names) for item, model in site.people.items()),
+        *(NamedThing("regions", item, model.names) for item, model in site.regions.items()),
+        *(NamedThing("objects", item, model.names) for item, model in site.objects.items()),
+        *(NamedThing("people", item, model.names) for item, model in site.people.items()),
     )
 
 
@@ -137,7 +137,7 @@ def name_faults(site: Site) -> Iterator[tuple[str, str]]:
             )
 
 
-def _spelling_faults(thing: Named) -> Iterator[tuple[str, str]]:
+def _spelling_faults(thing: NamedThing) -> Iterator[tuple[str, str]]:
     if len(thing.names) > MOST_NAMES:
         yield (
             f"{thing.group}.{thing.item}.names",

@@ -14,7 +14,7 @@ from authguard_r.core.encoding import decode
 from authguard_r.core.errors import MalformedError, StoreError
 from authguard_r.core.ports import Clock
 from authguard_r.store.sqlite import read_held, read_rows
-from authguard_r.store.transactions import High
+from authguard_r.store.transactions import ClockWatermark
 
 #: What the first record of a log with simulated time says of its clock.
 SIMULATED = "simulated"
@@ -76,7 +76,7 @@ def store_clock(store: Path) -> Clock:
             return SystemClock()
         if read_record(first.record, where="record 0").open.get("clock") != SIMULATED:
             return SystemClock()
-        return _SimulatedSince(decode(high, High, where="store.clock").utc_ms)
+        return _SimulatedSince(decode(high, ClockWatermark, where="store.clock").utc_ms)
     except (StoreError, MalformedError):
         return SystemClock()  # opening the store says what is wrong with it
 
@@ -87,11 +87,11 @@ def last_epoch(store: Path) -> int:
     return -1 if high is None else high.snapshot[0]
 
 
-def _high(store: Path) -> High | None:
+def _high(store: Path) -> ClockWatermark | None:
     if not store.is_file() or store.stat().st_size == 0:
         return None
     try:
         held = read_held(store, "clock", "high")
-        return None if held is None else decode(held, High, where="store.clock")
+        return None if held is None else decode(held, ClockWatermark, where="store.clock")
     except (StoreError, MalformedError):
         return None  # opening the store says what is wrong with it

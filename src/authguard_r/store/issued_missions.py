@@ -13,7 +13,7 @@ from authguard_r.core.errors import StoreError
 from authguard_r.core.identifiers import Digest, MissionId
 from authguard_r.core.lifecycle import TERMINAL, Status
 from authguard_r.core.standing import Standing
-from authguard_r.store.transactions import Act, read_held
+from authguard_r.store.transactions import Transaction, read_held
 
 #: How many mission versions are issued at one time; the gate keeps the token of each.
 MOST_ISSUED = 64
@@ -21,7 +21,7 @@ MOST_ISSUED = 64
 _KIND, _NAMES = "issued", "names"
 
 
-def registered(act: Act, mid: MissionId, digest: Digest) -> Standing | None:
+def registered(act: Transaction, mid: MissionId, digest: Digest) -> Standing | None:
     """Return the registry's entry for one version of a mission.
 
     Args:
@@ -44,7 +44,7 @@ def registered(act: Act, mid: MissionId, digest: Digest) -> Standing | None:
     return None if beside is None or beside.mid != mid else beside
 
 
-def issued(act: Act) -> tuple[Standing, ...]:
+def issued(act: Transaction) -> tuple[Standing, ...]:
     """Return every mission version whose status is `issued`, in the order of handing in.
 
     A damaged entry is left out: it authorizes nothing, and `damaged` names it.
@@ -52,12 +52,12 @@ def issued(act: Act) -> tuple[Standing, ...]:
     return _read(act)[0]
 
 
-def damaged(act: Act) -> tuple[str, ...]:
+def damaged(act: Transaction) -> tuple[str, ...]:
     """Return what is wrong with each entry that cannot be read, and its mission."""
     return tuple(str(fault) for fault in _read(act)[1])
 
 
-def require_readable(act: Act) -> None:
+def require_readable(act: Transaction) -> None:
     """Require that every entry can be read, before a mission is issued or activated.
 
     Raises:
@@ -67,7 +67,7 @@ def require_readable(act: Act) -> None:
         raise fault
 
 
-def _read(act: Act) -> tuple[tuple[Standing, ...], tuple[StoreError, ...]]:
+def _read(act: Transaction) -> tuple[tuple[Standing, ...], tuple[StoreError, ...]]:
     found: list[Standing] = []
     try:
         names = _names(act)
@@ -93,7 +93,7 @@ def _damage(what: str, error: StoreError) -> StoreError:
     return StoreError(text, where=error.where, reason=error.reason)
 
 
-def hold_issued(act: Act, standing: Standing) -> None:
+def hold_issued(act: Transaction, standing: Standing) -> None:
     """Hold the standing of a version that was handed in: newly issued, or ended before activation.
 
     A version that ended keeps its entry, so that its token is never taken in again. Where the log
@@ -113,7 +113,7 @@ def hold_issued(act: Act, standing: Standing) -> None:
     _hold_names(act, kept)
 
 
-def take_issued(act: Act, active: Standing) -> None:
+def take_issued(act: Transaction, active: Standing) -> None:
     """Hold the standing of a version that becomes active in the place of its issued entry."""
     act.hold(active)
     if act.get(_KIND, active.digest):
@@ -121,11 +121,11 @@ def take_issued(act: Act, active: Standing) -> None:
     _hold_names(act, tuple((one.mid, one.digest) for one in issued(act)))
 
 
-def _hold_names(act: Act, kept: tuple[tuple[MissionId, Digest], ...]) -> None:
+def _hold_names(act: Transaction, kept: tuple[tuple[MissionId, Digest], ...]) -> None:
     if kept != _names(act):
         act.put(_KIND, _NAMES, encode_fast(kept))
 
 
-def _names(act: Act) -> tuple[tuple[MissionId, Digest], ...]:
+def _names(act: Transaction) -> tuple[tuple[MissionId, Digest], ...]:
     held = act.get(_KIND, _NAMES)
     return read_held(held, tuple[tuple[MissionId, Digest], ...], _KIND) if held else ()

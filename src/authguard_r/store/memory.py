@@ -13,7 +13,7 @@ from typing import TypeVar
 from msgspec import structs
 
 from authguard_r.audit.record import without
-from authguard_r.audit.verify import Row
+from authguard_r.audit.verify import LogRow
 from authguard_r.core.chain import GENESIS
 from authguard_r.core.errors import StoreError
 from authguard_r.core.ports import Turn
@@ -24,13 +24,13 @@ T = TypeVar("T")
 class _MemoryTurn:
     """Writes of one job, kept apart until it ends well."""
 
-    def __init__(self, held: dict[tuple[str, str], bytes], rows: list[Row]) -> None:
+    def __init__(self, held: dict[tuple[str, str], bytes], rows: list[LogRow]) -> None:
         self._held = held
         self._rows = rows
         self._size = len(rows)
         self._link = rows[-1].link if rows else GENESIS
         self.puts: dict[tuple[str, str], bytes] = {}
-        self.appends: list[Row] = []
+        self.appends: list[LogRow] = []
         self.forgets: dict[int, bytes] = {}
 
     def get(self, kind: str, key: str) -> bytes | None:
@@ -47,7 +47,7 @@ class _MemoryTurn:
 
     def append(self, record: bytes, sealed: bytes, link: bytes) -> int:
         """Append one record."""
-        row = Row(self._size, record, sealed, link)
+        row = LogRow(self._size, record, sealed, link)
         self.appends.append(row)
         self._size, self._link = row.seq + 1, link
         return row.seq
@@ -69,7 +69,7 @@ class MemoryStore:
 
     def __init__(self) -> None:
         self._held: dict[tuple[str, str], bytes] = {}
-        self._rows: list[Row] = []
+        self._rows: list[LogRow] = []
         self._lock = threading.Lock()
         self._closed = False
 
@@ -114,7 +114,7 @@ class MemoryStore:
         with self._lock:
             self._closed = True
 
-    def rows(self) -> tuple[Row, ...]:
+    def rows(self) -> tuple[LogRow, ...]:
         """Return the log."""
         with self._lock:
             return tuple(self._rows)

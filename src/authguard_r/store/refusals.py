@@ -18,7 +18,7 @@ from typing import Protocol
 from msgspec import Struct, structs
 
 from authguard_r.audit.record import Entry, append, ends_motion
-from authguard_r.audit.verify import Row
+from authguard_r.audit.verify import LogRow
 from authguard_r.core.encoding import Tag, b64, encode_fast
 from authguard_r.core.ports import Turn
 
@@ -47,7 +47,7 @@ class LogSealer(Protocol):
         """Append the entry to the log in this turn, sealed; return its number."""
         ...
 
-    def opened(self, row: Row) -> Row:
+    def opened(self, row: LogRow) -> LogRow:
         """Return a row as it would be had nothing been sealed, as far as that can be said."""
         ...
 
@@ -76,7 +76,7 @@ class RefusalPolicy(Struct, frozen=True, kw_only=True):
         return MOST_WINDOWS // (max(self.users, 1) + 1)
 
 
-class Waiting(Struct, frozen=True):
+class PendingEntry(Struct, frozen=True):
     """An entry that waits, with its place in the order of the decisions."""
 
     number: int
@@ -143,7 +143,7 @@ class Refusals:
         self._restore = restore
         self._mono_ms = mono_ms
         self._lock = threading.Lock()
-        self._waiting: deque[Waiting] = deque()
+        self._waiting: deque[PendingEntry] = deque()
         # in the order in which they end: all of them last equally long
         self._windows: dict[Fold, _Window] = {}
         self._of_client: Counter[str] = Counter()
@@ -231,7 +231,7 @@ class Refusals:
                 self._end(key, time_ms)
             return bool(self._waiting)
 
-    def take_waiting(self) -> list[Waiting]:
+    def take_waiting(self) -> list[PendingEntry]:
         """Return what waits, for a turn that writes it or gives it back."""
         if not self._waiting or not self.may_write():
             return []
@@ -239,7 +239,7 @@ class Refusals:
             taken, self._waiting = list(self._waiting), deque()
         return taken
 
-    def give_back(self, taken: list[Waiting]) -> None:
+    def give_back(self, taken: list[PendingEntry]) -> None:
         """Let what a turn could not write wait again, in the order of the decisions."""
         with self._lock:
             every = [*taken, *self._waiting]
@@ -247,7 +247,7 @@ class Refusals:
 
     def _queue(self, entry: Entry) -> None:
         self._number += 1
-        self._waiting.append(Waiting(self._number, entry))
+        self._waiting.append(PendingEntry(self._number, entry))
 
     def _opens(self, key: Fold) -> bool:
         """True when this refusal is the first of a window that there is place for."""
@@ -289,7 +289,7 @@ class Refusals:
             self._queue(window.entry(key[0], key[2], time_ms))
 
 
-class Page:
+class RecordBatch:
     """Where one act's records are written, behind the refusals that waited for a commit.
 
     Args:
@@ -317,7 +317,7 @@ class Page:
         self._marks = marks
         self._refusals = refusals
         self.salts = salts
-        self._taken: list[Waiting] = []
+        self._taken: list[PendingEntry] = []
 
     def record(self, entry: Entry) -> int:
         """Append what waited, then this; return its number."""

@@ -28,7 +28,7 @@ from authguard_r.core.identifiers import Count, Digest, Positive
 from authguard_r.core.reasons import Reason
 from authguard_r.store.cells import Cells, blob, cells, first_row, held_value, store_error
 from authguard_r.store.folder import Folder
-from authguard_r.store.untrusted import Meter, hold, in_order
+from authguard_r.store.untrusted import ReadMeter, hold, in_order
 
 #: Kind of what a store holds about its segments: each by its name, and where they end.
 SEGMENT, MARK = "segment", "mark"
@@ -70,7 +70,7 @@ class Segment(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         return f"the segment `{self.name}` with records {self.first} to {self.end - 1}"
 
 
-class Found(Struct, frozen=True):
+class SegmentClaims(Struct, frozen=True):
     """What a segment's file says of itself; nobody has looked at the checkpoint's signature."""
 
     segment: Segment
@@ -110,7 +110,7 @@ class Segments:
         self.folder = folder
         self.vfs = vfs
         self._strange = strange
-        self._meters: dict[str, Meter] = {}
+        self._meters: dict[str, ReadMeter] = {}
         self._open: dict[str, apsw.Connection] = {}
         #: One that is being written, and one that has its name and no mark yet.
         self.writing: Writing | None = None
@@ -221,7 +221,7 @@ class Segments:
         if self._strange:
             place = Path(self.folder.place(segment.name))
             # a row that a move has not taken away yet is compared with its copy: twice, at most
-            meter = self._meters.setdefault(segment.name, Meter(place, times=2))
+            meter = self._meters.setdefault(segment.name, ReadMeter(place, times=2))
             meter.took(*(cell for row in found for cell in row[1:]))
         return found
 
@@ -282,7 +282,7 @@ def read_index(connection: apsw.Connection, folder: Folder) -> tuple[Segment, ..
     place = folder.place("")
     try:
         held: list[tuple[str, Segment]] = []
-        meter = Meter(Path(connection.filename))
+        meter = ReadMeter(Path(connection.filename))
         for key, value in connection.execute(query, (SEGMENT,)):
             meter.took(blob(value))
             held.append((key, decode(blob(value), Segment, where=f"held.segment.{key}")))
@@ -303,7 +303,7 @@ def read_forgets(connection: apsw.Connection) -> dict[int, bytes]:
     """Return what stays beside records in segments that sealed values are still to go from."""
     query = "SELECT key, value FROM held WHERE kind = ?"
     found: dict[int, bytes] = {}
-    meter = Meter(Path(connection.filename))
+    meter = ReadMeter(Path(connection.filename))
     for key, value in connection.execute(query, (FORGET,)):
         seq, left = str(key), blob(value)
         meter.took(left)
@@ -312,7 +312,7 @@ def read_forgets(connection: apsw.Connection) -> dict[int, bytes]:
     return found
 
 
-def find(folder: Folder, name: str, *, vfs: str | None = None) -> Found:
+def find(folder: Folder, name: str, *, vfs: str | None = None) -> SegmentClaims:
     """Return what a file of the folder says of itself.
 
     Raises:
@@ -366,7 +366,7 @@ def _opened(
     return connection
 
 
-def _found(connection: apsw.Connection, name: str) -> Found:
+def _found(connection: apsw.Connection, name: str) -> SegmentClaims:
     """Return what a file says of itself.
 
     Raises:
@@ -387,7 +387,7 @@ def _found(connection: apsw.Connection, name: str) -> Found:
         raise MalformedError("expected its last record to be its checkpoint's")
     before = read_record(blob(begin[1]), where=f"record {begin[0]}").link.prev
     head = Digest(b64(blob(last[1])))
-    return Found(Segment(first=begin[0], end=said.size, before=before, head=head), note)
+    return SegmentClaims(Segment(first=begin[0], end=said.size, before=before, head=head), note)
 
 
 def _numbers(segment: Segment) -> range:

@@ -18,7 +18,7 @@ from typing import Generic, TypeVar
 
 import apsw
 
-from authguard_r.audit.verify import Row
+from authguard_r.audit.verify import LogRow
 from authguard_r.core.chain import GENESIS
 from authguard_r.core.errors import EnvironmentFault, StoreError
 from authguard_r.core.ports import Turn
@@ -42,7 +42,7 @@ from authguard_r.store.segments import (
     read_index,
 )
 from authguard_r.store.turn import SqliteTurn
-from authguard_r.store.untrusted import Meter, in_order, open_stranger
+from authguard_r.store.untrusted import ReadMeter, in_order, open_stranger
 
 T = TypeVar("T")
 
@@ -322,7 +322,7 @@ def _file_of(path: Path) -> tuple[int, int] | None:
     return None
 
 
-def read_rows(path: Path) -> Iterator[Row]:
+def read_rows(path: Path) -> Iterator[LogRow]:
     """Yield the log's rows in order, from a file that nobody needs to trust.
 
     Raises:
@@ -346,7 +346,7 @@ def read_rows(path: Path) -> Iterator[Row]:
             )
             plain = ((seq, *map(blob, cells)) for seq, *cells in rows)
             for seq, record, sealed, link in in_order(plain, path):
-                yield Row(seq, record, sealed, link)
+                yield LogRow(seq, record, sealed, link)
         finally:
             connection.close()
     except (apsw.Error, UnicodeDecodeError) as error:
@@ -372,7 +372,7 @@ def read_held(path: Path, kind: str, key: str) -> bytes | None:
         raise store_error(error, where=str(path)) from error
 
 
-def _moved_rows(connection: apsw.Connection, segments: Segments) -> Iterator[Row]:
+def _moved_rows(connection: apsw.Connection, segments: Segments) -> Iterator[LogRow]:
     """Yield the rows that lie in segments, a page at a time."""
     if not segments.end:
         return
@@ -382,7 +382,7 @@ def _moved_rows(connection: apsw.Connection, segments: Segments) -> Iterator[Row
         for first in range(0, segments.end, _STRANGE):
             end = min(first + _STRANGE, segments.end)
             for seq, record, sealed, link in segments.rows(first, end):
-                yield Row(seq, record, left.get(seq, sealed), link)
+                yield LogRow(seq, record, left.get(seq, sealed), link)
     finally:
         segments.close()
 
@@ -396,7 +396,7 @@ def _require_copies(connection: apsw.Connection, segments: Segments) -> None:
     rows = connection.execute(
         "SELECT seq, record, link FROM audit WHERE seq < ? ORDER BY seq", (segments.end,)
     )
-    meter = Meter(Path(connection.filename))
+    meter = ReadMeter(Path(connection.filename))
     for seq, record, link in rows:
         meter.took(blob(record), blob(link))
         moved = segments.rows(seq, seq + 1)

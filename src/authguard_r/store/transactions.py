@@ -17,7 +17,7 @@ from typing import TypeVar
 from msgspec import Struct
 
 from authguard_r.audit.record import Entry, append
-from authguard_r.audit.verify import Row
+from authguard_r.audit.verify import LogRow
 from authguard_r.core.encoding import b64, decode, encode_fast
 from authguard_r.core.errors import ClockError, MalformedError, StoreError
 from authguard_r.core.identifiers import Digest, MissionId, RobotId
@@ -26,7 +26,7 @@ from authguard_r.core.ports import Clock, Store, Turn
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Standing
-from authguard_r.store.refusals import Fold, LogSealer, Page, RefusalPolicy, Refusals
+from authguard_r.store.refusals import Fold, LogSealer, RecordBatch, RefusalPolicy, Refusals
 
 T = TypeVar("T")
 #: Kind, key and value of something that the store holds.
@@ -37,7 +37,7 @@ STOP = ("stop", "operator")
 SKEW_MS = 2_000
 
 
-class High(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class ClockWatermark(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """What never runs backwards, written with every commit and read when a gate starts.
 
     Args:
@@ -94,10 +94,8 @@ class Ledger:
         self._salts = salts
         self.robot = robot
         self._open_marks = marks or {}
-        self._mono_base = 0
-        self._mono_start = clock.mono_ms()
-        self._high = Now(since_ms, 0)
-        self._behind = False
+        self._mono_base, self._mono_start = 0, clock.mono_ms()
+        self._high, self._behind = Now(since_ms, 0), False
         self.snapshot = (-1, -1)
         #: Raised at each end of a motion. It begins with the time of the start in ms, so it is
         #: greater than every number that a gate gave before on this store.
@@ -134,7 +132,7 @@ class Ledger:
             self.raise_fence(wall)  # a start before it had no time of its own
         return Now(max(wall, self._high.utc_ms + mono - self._high.mono_ms), mono)
 
-    def run(self, job: Callable[[Act], T], *, essential: bool = False) -> T:
+    def run(self, job: Callable[[Transaction], T], *, essential: bool = False) -> T:
         """Run one act in the writer's turn; its effects and records are on disk on return.
 
         An act that held and recorded nothing costs no fsync.
@@ -148,9 +146,11 @@ class Ledger:
             StoreError: nothing was committed.
         """
 
-        def turn_job(page: Page) -> tuple[T, Act]:
+        def turn_job(page: RecordBatch) -> tuple[T, Transaction]:
             self._turns += 1  # in the order of the turns, which is the order of the log
-            act = Act(page, self.now(), self.refusals, order=self._turns, decoded=self._decoded)
+            act = Transaction(
+                page, self.now(), self.refusals, order=self._turns, decoded=self._decoded
+            )
             result = job(act)
             if act.changed:
                 page.turn.put("clock", "high", self._marks(act.now))
@@ -161,16 +161,16 @@ class Ledger:
             self._remember(act)
         return result
 
-    def _in_turn(self, job: Callable[[Page], T], *, essential: bool = False) -> T:
+    def _in_turn(self, job: Callable[[RecordBatch], T], *, essential: bool = False) -> T:
         """Run in the writer's turn; refusals that waited are written in front of its records."""
-        tries: list[Page] = []
+        tries: list[RecordBatch] = []
 
         def turn_job(turn: Turn) -> T:
             for page in tries:  # the disk was full: what is left is not for refusals
                 page.undo()
                 self.refusals.out_of_room()
             more, fence = (self._salts, self._open_marks, self.sealer), self.raise_fence
-            tries.append(Page(turn, self.refusals, *more, fence=fence))
+            tries.append(RecordBatch(turn, self.refusals, *more, fence=fence))
             return job(tries[-1])
 
         try:
@@ -192,7 +192,8 @@ class Ledger:
             self._fenced(self.fence)
 
     def _marks(self, now: Now) -> bytes:
-        return encode_fast(High(utc_ms=now.utc_ms, mono_ms=now.mono_ms, snapshot=self.snapshot))
+        high = ClockWatermark(utc_ms=now.utc_ms, mono_ms=now.mono_ms, snapshot=self.snapshot)
+        return encode_fast(high)
 
     def standing(self, mid: MissionId) -> Standing | None:
         """Return the standing as last committed, without waiting for a turn."""
@@ -207,7 +208,7 @@ class Ledger:
         """
         return self.store.read(job)
 
-    def opened(self, row: tuple[int, bytes, bytes, bytes]) -> Row:
+    def opened(self, row: tuple[int, bytes, bytes, bytes]) -> LogRow:
         """Return a row of the log as it would be had nothing of it been sealed.
 
         What was sealed before this start stays closed: its keys are only its readers'.
@@ -216,7 +217,7 @@ class Ledger:
             StoreError: it is not what was sealed.
         """
         try:
-            return Row(*row) if self.sealer is None else self.sealer.opened(Row(*row))
+            return LogRow(*row) if self.sealer is None else self.sealer.opened(LogRow(*row))
         except MalformedError as error:
             raise StoreError(
                 error.message, where=error.where, reason=Reason.STORE_CORRUPT
@@ -248,7 +249,7 @@ class Ledger:
         """
         time_ms = self.last_ms()
 
-        def turn_job(page: Page) -> int:
+        def turn_job(page: RecordBatch) -> int:
             if held is not None:
                 page.turn.put(*held)
             return page.record(entry(time_ms))
@@ -288,7 +289,7 @@ class Ledger:
             StoreError: they were not written, and go on waiting.
         """
 
-        def turn_job(page: Page) -> None:
+        def turn_job(page: RecordBatch) -> None:
             page.record_waiting()
             self._raise_marks(page.turn)
 
@@ -311,7 +312,7 @@ class Ledger:
         """Return a time that is not before anything committed; for what needs no right clock."""
         return max(self._high.utc_ms, self._clock.wall_ms())
 
-    def _remember(self, act: Act) -> None:
+    def _remember(self, act: Transaction) -> None:
         """Mirror what was committed; threads may come back in another order than they committed."""
         now, high = act.now, self._high
         if (now.utc_ms, now.mono_ms) > (high.utc_ms, high.mono_ms):
@@ -331,7 +332,7 @@ class Ledger:
     def _open(self, turn: Turn, genesis: dict[str, object], inputs: dict[str, object]) -> None:
         held = turn.get("clock", "high")
         if held is not None:
-            high = read_held(held, High, "clock")
+            high = read_held(held, ClockWatermark, "clock")
             self._high = Now(max(high.utc_ms, self._high.utc_ms), high.mono_ms)
             self._mono_base, self.snapshot = high.mono_ms, high.snapshot
         if turn.head()[0] == 0:
@@ -375,10 +376,10 @@ def _place(genesis: dict[str, object]) -> bytes:
 def last_commit_ms(turn: Turn) -> int:
     """Return the trusted time of the last commit, 0 for a store that was never used."""
     held = turn.get("clock", "high")
-    return 0 if held is None else read_held(held, High, "clock").utc_ms
+    return 0 if held is None else read_held(held, ClockWatermark, "clock").utc_ms
 
 
-class Act:
+class Transaction:
     """One act inside the writer's turn: what it reads, holds and records.
 
     Args:
@@ -391,7 +392,7 @@ class Act:
 
     def __init__(
         self,
-        page: Page,
+        page: RecordBatch,
         now: Now,
         refusals: Refusals,
         *,
@@ -400,8 +401,7 @@ class Act:
     ) -> None:
         self.order = order
         self._decoded = decoded
-        self._page = page
-        self._turn = page.turn
+        self._page, self._turn = page, page.turn
         self._refusals = refusals
         self.now = now
         self.held: dict[MissionId, Standing] = {}
@@ -514,7 +514,7 @@ class Act:
         return seq
 
 
-def stop_stands(turn: Turn | Act) -> bool:
+def stop_stands(turn: Turn | Transaction) -> bool:
     """True while an operator's stop stands, whatever is active."""
     return bool(turn.get(*STOP))
 

@@ -120,7 +120,7 @@ def _require_schema(connection: apsw.Connection, path: Path) -> None:
         )
 
 
-class Meter:
+class ReadMeter:
     """Ends the reading of a file that gives more bytes than it has.
 
     Args:
@@ -155,7 +155,7 @@ def in_order(
     Raises:
         StoreError: they do not, or there are more than the file has.
     """
-    meter, last = Meter(path), None
+    meter, last = ReadMeter(path), None
     for seq, record, sealed, link in rows:
         if not isinstance(seq, int) or (last is not None and seq <= last):
             raise StoreError(

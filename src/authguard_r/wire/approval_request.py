@@ -12,7 +12,7 @@ from typing import Any
 
 from msgspec import Struct
 
-from authguard_r.core.approval import Verdict
+from authguard_r.core.approval import ApprovalVerdict
 from authguard_r.core.identifiers import (
     Count,
     Digest,
@@ -27,7 +27,7 @@ from authguard_r.core.identifiers import (
 from authguard_r.core.mission import Guard
 
 
-class Answered(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class ApprovalAnswer(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One answer that the gate holds.
 
     Args:
@@ -45,7 +45,7 @@ class Answered(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     kind: str
     threshold: Positive
     members: tuple[PrincipalId, ...]
-    verdict: Verdict
+    verdict: ApprovalVerdict
     why_not: str
 
 
@@ -112,7 +112,7 @@ class Question(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     denied: bool
     roles: tuple[Identifier, ...]
     places: tuple[RegionId, ...]
-    answers: tuple[Answered, ...]
+    answers: tuple[ApprovalAnswer, ...]
     is_current: bool
     influenced_by: tuple[dict[str, Any], ...]
     seq: Count

@@ -16,7 +16,7 @@ from authguard_r.core.errors import (
     RefusedError,
 )
 from authguard_r.core.reasons import ORDER, Reason
-from authguard_r.wire.messages import Family, Fault
+from authguard_r.wire.messages import Fault, FaultFamily
 
 #: Codes that only an environment at fault has, for a fault that names no family.
 _ENVIRONMENT = frozenset(
@@ -51,38 +51,38 @@ def from_fault(fault: Fault) -> AuthGuardError:
     reason = Reason(fault.code) if known else Reason.INTERNAL_FAULT
     message = fault.message if known else f"`{fault.code}`: {fault.message}"
     family = fault.family if fault.family is not None else _family_of_code(reason)
-    if family is Family.MALFORMED:
+    if family is FaultFamily.MALFORMED:
         return MalformedError(message, where=fault.where, reason=reason)
-    if family is Family.AUTHENTICITY:
+    if family is FaultFamily.AUTHENTICITY:
         return AuthenticityError(message, where=fault.where, reason=reason)
-    if family is Family.CLARIFICATION:
+    if family is FaultFamily.CLARIFICATION:
         return ClarificationError(message, field=fault.where)
-    if family is Family.REFUSED:
+    if family is FaultFamily.REFUSED:
         return RefusedError(message, where=fault.where, reason=reason)
     return EnvironmentFault(message, where=fault.where, reason=reason)
 
 
-def _family(error: AuthGuardError) -> Family:
+def _family(error: AuthGuardError) -> FaultFamily:
     if isinstance(error, MalformedError):
-        return Family.MALFORMED
+        return FaultFamily.MALFORMED
     if isinstance(error, AuthenticityError):
-        return Family.AUTHENTICITY
+        return FaultFamily.AUTHENTICITY
     if isinstance(error, ClarificationError):
-        return Family.CLARIFICATION
-    return Family.REFUSED if isinstance(error, RefusedError) else Family.ENVIRONMENT
+        return FaultFamily.CLARIFICATION
+    return FaultFamily.REFUSED if isinstance(error, RefusedError) else FaultFamily.ENVIRONMENT
 
 
-def _family_of_code(reason: Reason) -> Family:
+def _family_of_code(reason: Reason) -> FaultFamily:
     """Return the family that most errors of a code are of."""
     if reason in _ENVIRONMENT:
-        return Family.ENVIRONMENT
+        return FaultFamily.ENVIRONMENT
     if reason is Reason.CLARIFICATION_NEEDED:
-        return Family.CLARIFICATION
+        return FaultFamily.CLARIFICATION
     place = ORDER[reason]
     if place <= ORDER[Reason.WRONG_KIND] or reason is Reason.SCHEMA_INVALID:
-        return Family.MALFORMED
+        return FaultFamily.MALFORMED
     if place <= ORDER[Reason.ISSUER_MISMATCH]:
-        return Family.AUTHENTICITY
+        return FaultFamily.AUTHENTICITY
     if ORDER[Reason.INPUT_TOO_LARGE] <= place <= ORDER[Reason.STATE_WRITING_REFUSED]:
-        return Family.MALFORMED
-    return Family.REFUSED
+        return FaultFamily.MALFORMED
+    return FaultFamily.REFUSED

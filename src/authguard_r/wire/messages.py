@@ -156,7 +156,7 @@ class Proof(_Message, frozen=True, kw_only=True):
     nonce: Base64Url
 
 
-class Family(StrEnum):
+class FaultFamily(StrEnum):
     """Which of the errors a fault is (`core.errors`): what an exit code follows."""
 
     MALFORMED = "malformed"
@@ -179,7 +179,7 @@ class Fault(_Message, frozen=True, kw_only=True):
     code: str
     message: str
     where: str
-    family: Family | None = None
+    family: FaultFamily | None = None
 
 
 class Propose(_Message, frozen=True, kw_only=True):
@@ -246,7 +246,7 @@ class Fence(_Message, frozen=True, kw_only=True):
     fence: Count
 
 
-class Act(StrEnum):
+class OrderKind(StrEnum):
     """What an order is about; the token says the rest."""
 
     ACTIVATE = "activate"
@@ -274,7 +274,7 @@ class Order(_Message, frozen=True, kw_only=True):
         why: for `approve`, the approver's words; they go into the log and to no planner.
     """
 
-    act: Act
+    act: OrderKind
     token: bytes
     confirmation: bytes | None = None
     why: Annotated[str, Meta(max_length=2_000)] = ""

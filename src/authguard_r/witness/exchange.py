@@ -24,7 +24,7 @@ _LENGTH = re.compile(r"[0-9]{1,9}")
 _VERSIONS = {"HTTP/1.0": False, "HTTP/1.1": True}
 
 
-class Request(Struct, frozen=True, kw_only=True):
+class HttpRequest(Struct, frozen=True, kw_only=True):
     """A whole request.
 
     Args:
@@ -58,7 +58,7 @@ class _Head(Struct, frozen=True, kw_only=True):
     expects: bool
 
 
-class Reader:
+class RequestReader:
     """Makes requests of one connection's bytes; holds no more than one of them and what came on."""
 
     def __init__(self) -> None:
@@ -76,7 +76,7 @@ class Reader:
         """Take what came."""
         self._data += data
 
-    def next(self) -> Request | Broken | None:
+    def next(self) -> HttpRequest | Broken | None:
         """Return the next request, what is wrong with it, or None until more comes."""
         if self._head is None:
             end = self._data.find(_END, 0, MAX_HEAD)
@@ -94,13 +94,13 @@ class Reader:
     def _is_long(self) -> bool:
         return len(self._data) >= MAX_HEAD
 
-    def _whole(self, head: _Head) -> Request | None:
+    def _whole(self, head: _Head) -> HttpRequest | None:
         if len(self._data) < head.length:
             return None
         body = bytes(self._data[: head.length])
         del self._data[: head.length]
         self._head, self.waits = None, False
-        return Request(method=head.method, target=head.target, body=body, stays=head.stays)
+        return HttpRequest(method=head.method, target=head.target, body=body, stays=head.stays)
 
 
 def answer_bytes(

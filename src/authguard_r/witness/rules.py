@@ -27,7 +27,7 @@ _WHERE = "request"
 _OLD = "old "
 
 
-class Finding(StrEnum):
+class RequestFinding(StrEnum):
     """What a request was found to be."""
 
     COSIGNED = "cosigned"
@@ -42,23 +42,25 @@ class Finding(StrEnum):
 
 
 #: Under each finding, the status of HTTP that says it.
-STATUS: dict[Finding, int] = {
-    Finding.COSIGNED: 200,
-    Finding.MALFORMED: 400,
-    Finding.UNKNOWN: 404,
-    Finding.UNSIGNED: 403,
-    Finding.IMPOSSIBLE: 400,
-    Finding.STALE: 409,
-    Finding.BEHIND: 409,
-    Finding.FORKED: 409,
-    Finding.UNPROVEN: 422,
+STATUS: dict[RequestFinding, int] = {
+    RequestFinding.COSIGNED: 200,
+    RequestFinding.MALFORMED: 400,
+    RequestFinding.UNKNOWN: 404,
+    RequestFinding.UNSIGNED: 403,
+    RequestFinding.IMPOSSIBLE: 400,
+    RequestFinding.STALE: 409,
+    RequestFinding.BEHIND: 409,
+    RequestFinding.FORKED: 409,
+    RequestFinding.UNPROVEN: 422,
 }
 #: What the log itself signed and could not have followed from what was cosigned, or was not shown
 #: to: worth keeping.
-KEPT = frozenset({Finding.STALE, Finding.BEHIND, Finding.FORKED, Finding.UNPROVEN})
+KEPT = frozenset(
+    {RequestFinding.STALE, RequestFinding.BEHIND, RequestFinding.FORKED, RequestFinding.UNPROVEN}
+)
 
 
-class Log(Struct, frozen=True, kw_only=True):
+class WitnessedLog(Struct, frozen=True, kw_only=True):
     """What a witness knows of a log.
 
     Args:
@@ -74,7 +76,7 @@ class Log(Struct, frozen=True, kw_only=True):
     root: bytes = EMPTY_ROOT
 
 
-class Asked(Struct, frozen=True, kw_only=True):
+class WitnessRequest(Struct, frozen=True, kw_only=True):
     """A request that has the right form; nothing in it is verified.
 
     Args:
@@ -90,7 +92,7 @@ class Asked(Struct, frozen=True, kw_only=True):
     checkpoint: Checkpoint
 
 
-class Verdict(Struct, frozen=True, kw_only=True):
+class WitnessVerdict(Struct, frozen=True, kw_only=True):
     """What is to be answered.
 
     Args:
@@ -99,7 +101,7 @@ class Verdict(Struct, frozen=True, kw_only=True):
         size: of the newest checkpoint that was cosigned, where that is the answer.
     """
 
-    finding: Finding
+    finding: RequestFinding
     message: str
     size: int | None = None
 
@@ -109,7 +111,7 @@ class Verdict(Struct, frozen=True, kw_only=True):
         return STATUS[self.finding]
 
 
-def read_request(body: bytes) -> Asked:
+def read_request(body: bytes) -> WitnessRequest:
     """Return what a request's body asks.
 
     Raises:
@@ -126,7 +128,7 @@ def read_request(body: bytes) -> Asked:
     if len(lines) > MAX_PROOF:
         raise MalformedError(f"expected at most {MAX_PROOF} hashes", where=_WHERE)
     note = read_note(note_bytes, where=_WHERE)
-    return Asked(
+    return WitnessRequest(
         old=read_size(first.removeprefix(_OLD), where=_WHERE),
         proof=tuple(map(_hash, lines)),
         note=note,
@@ -134,7 +136,7 @@ def read_request(body: bytes) -> Asked:
     )
 
 
-def judge(asked: Asked, log: Log | None) -> Verdict:
+def judge(asked: WitnessRequest, log: WitnessedLog | None) -> WitnessVerdict:
     """Return the answer to a request, in the order of the specification.
 
     (1) the origin is known, (2) every key of the log has signed, (3) the old size is no larger than
@@ -148,23 +150,29 @@ def judge(asked: Asked, log: Log | None) -> Verdict:
     found = asked.checkpoint
     # (1) origin
     if log is None:
-        return Verdict(finding=Finding.UNKNOWN, message="no such log is known here")
+        return WitnessVerdict(finding=RequestFinding.UNKNOWN, message="no such log is known here")
     # (2) signatures
     if (unsigned := _unsigned(asked.note, log)) is not None:
-        return Verdict(finding=Finding.UNSIGNED, message=unsigned)
+        return WitnessVerdict(finding=RequestFinding.UNSIGNED, message=unsigned)
     # (3) sizes
     if asked.old > found.size:
-        return Verdict(finding=Finding.IMPOSSIBLE, message="the old size is larger than the new")
+        return WitnessVerdict(
+            finding=RequestFinding.IMPOSSIBLE, message="the old size is larger than the new"
+        )
     # (4) what was cosigned last
     if asked.old != log.size:
-        return Verdict(finding=_conflict(found, log), message="another size", size=log.size)
+        return WitnessVerdict(finding=_conflict(found, log), message="another size", size=log.size)
     # (5) the same size
     if _is_fork(found, log):
-        return Verdict(finding=Finding.FORKED, message="another root was cosigned for this size")
+        return WitnessVerdict(
+            finding=RequestFinding.FORKED, message="another root was cosigned for this size"
+        )
     # (6) the proof
     if not verify_consistency(asked.old, found.size, log.root, found.root, asked.proof):
-        return Verdict(finding=Finding.UNPROVEN, message="the consistency proof does not hold")
-    return Verdict(finding=Finding.COSIGNED, message="")
+        return WitnessVerdict(
+            finding=RequestFinding.UNPROVEN, message="the consistency proof does not hold"
+        )
+    return WitnessVerdict(finding=RequestFinding.COSIGNED, message="")
 
 
 def own_part(note: Note, keys: tuple[NoteKey, ...]) -> Note:
@@ -203,7 +211,7 @@ def _require_usable(key: NoteKey) -> None:
             raise
 
 
-def _unsigned(note: Note, log: Log) -> str | None:
+def _unsigned(note: Note, log: WitnessedLog) -> str | None:
     try:
         require_all(note, log.keys, where=_WHERE)
     except AuthGuardError:
@@ -211,14 +219,14 @@ def _unsigned(note: Note, log: Log) -> str | None:
     return None
 
 
-def _conflict(found: Checkpoint, log: Log) -> Finding:
+def _conflict(found: Checkpoint, log: WitnessedLog) -> RequestFinding:
     """Return what a checkpoint is whose sender took another one for the newest."""
     if _is_fork(found, log):
-        return Finding.FORKED
-    return Finding.BEHIND if found.size < log.size else Finding.STALE
+        return RequestFinding.FORKED
+    return RequestFinding.BEHIND if found.size < log.size else RequestFinding.STALE
 
 
-def _is_fork(found: Checkpoint, log: Log) -> bool:
+def _is_fork(found: Checkpoint, log: WitnessedLog) -> bool:
     return found.size == log.size and found.root != log.root
 
 

@@ -24,11 +24,15 @@ from typing import Any
 
 from msgspec import Struct
 
-from authguard_r.integrations.http_listener.admission import Limits, Room, fitting
+from authguard_r.integrations.http_listener.admission import (
+    AdmissionControl,
+    AdmissionLimits,
+    fitting,
+)
 from authguard_r.wire.json_log import Lines
-from authguard_r.witness.exchange import MAX_HEAD, Broken, Reader, Request, answer_bytes
+from authguard_r.witness.exchange import MAX_HEAD, Broken, HttpRequest, RequestReader, answer_bytes
 from authguard_r.witness.rules import MAX_BYTES
-from authguard_r.witness.service import TEXT, Answer, Witness
+from authguard_r.witness.service import TEXT, Witness, WitnessResponse
 
 PATH = "/add-checkpoint"
 _CHUNK = 1 << 16
@@ -36,14 +40,14 @@ _CONTINUE = b"HTTP/1.1 100 Continue\r\n\r\n"
 
 
 #: Of `authguard witness serve`.
-LIMITS = Limits(connections=256, idle_s=60.0, head=MAX_HEAD, body=MAX_BYTES)
+LIMITS = AdmissionLimits(connections=256, idle_s=60.0, head=MAX_HEAD, body=MAX_BYTES)
 #: Connections that are taken in before those that are there already have their turn.
 AT_ONCE = 16
 #: An end is heard within this, in seconds.
 LINGER_S = 2.0
 
 
-class Ready(Struct, frozen=True, kw_only=True):
+class WitnessReady(Struct, frozen=True, kw_only=True):
     """A witness that serves, as it says so: a gate's configuration takes `url` and `key`."""
 
     ready: bool
@@ -54,12 +58,12 @@ class Ready(Struct, frozen=True, kw_only=True):
     pid: int
 
 
-class _Line:
+class _WitnessConnection:
     """One connection."""
 
     def __init__(self, link: socket.socket, until: float) -> None:
         self.link = link
-        self.reader = Reader()
+        self.reader = RequestReader()
         self.out = bytearray()
         self.until = until
         self.ends = False
@@ -67,7 +71,7 @@ class _Line:
         self.is_gone = False
 
 
-class Server:
+class WitnessServer:
     """Serves a listening socket until a byte comes on another.
 
     Args:
@@ -85,14 +89,14 @@ class Server:
         wake: socket.socket,
         *,
         journal: Lines,
-        limits: Limits,
+        limits: AdmissionLimits,
     ) -> None:
         self._witness = witness
         self._listener = listener
         self._journal = journal
         self._limits = limits
-        self._room: Room[_Line] = Room(limits.connections)
-        self._waiting: list[_Line] = []
+        self._room: AdmissionControl[_WitnessConnection] = AdmissionControl(limits.connections)
+        self._waiting: list[_WitnessConnection] = []
         self._is_ending = False
         self._selector = selectors.DefaultSelector()
         listener.settimeout(0)
@@ -133,16 +137,16 @@ class Server:
 
     def _take(self, link: socket.socket) -> None:
         link.settimeout(0)
-        line = _Line(link, time.monotonic() + self._limits.first_s)
+        line = _WitnessConnection(link, time.monotonic() + self._limits.first_s)
         self._make_room(self._room.enter(line))
         self._selector.register(link, selectors.EVENT_READ, partial(self._read, line))
 
-    def _make_room(self, gone: _Line | None) -> None:
+    def _make_room(self, gone: _WitnessConnection | None) -> None:
         if gone is not None:
             self._drop(gone)
             self._journal.write({"event": "crowded"}, kind="crowded", most=1)
 
-    def _read(self, line: _Line) -> None:
+    def _read(self, line: _WitnessConnection) -> None:
         if line.is_gone:
             return
         try:
@@ -157,7 +161,7 @@ class Server:
             line.reader.feed(data)
             self._next(line)
 
-    def _next(self, line: _Line) -> None:
+    def _next(self, line: _WitnessConnection) -> None:
         """Answer the next request of a connection, if it is there."""
         if line.is_gone:
             return
@@ -168,9 +172,9 @@ class Server:
                 with suppress(OSError):  # nothing else is on its way, so it fits
                     line.link.send(_CONTINUE)
             return
-        stays = isinstance(asked, Request) and asked.stays and not self._is_ending
+        stays = isinstance(asked, HttpRequest) and asked.stays and not self._is_ending
         answer = self._answered(asked)
-        bodiless = isinstance(asked, Request) and asked.method == "HEAD"
+        bodiless = isinstance(asked, HttpRequest) and asked.method == "HEAD"
         line.out += answer_bytes(
             answer.status, answer.content, answer.body, stays=stays, bodiless=bodiless
         )
@@ -179,7 +183,7 @@ class Server:
         line.until = time.monotonic() + self._limits.take_s
         self._write(line)
 
-    def _write(self, line: _Line) -> None:
+    def _write(self, line: _WitnessConnection) -> None:
         if line.is_gone:
             return
         try:
@@ -196,7 +200,7 @@ class Server:
             self._watch(line, selectors.EVENT_READ, self._read)
             self._written(line)
 
-    def _written(self, line: _Line) -> None:
+    def _written(self, line: _WitnessConnection) -> None:
         """Go on with a connection that has its answer."""
         now = time.monotonic()
         if line.ends:
@@ -210,18 +214,18 @@ class Server:
             line.until = now + self._limits.first_s
             self._waiting.append(line)
 
-    def _answered(self, asked: Request | Broken) -> Answer:
+    def _answered(self, asked: HttpRequest | Broken) -> WitnessResponse:
         try:
             answer = self._judged(asked)
         except Exception as error:  # noqa: BLE001 - a fault of ours is an answer that signs nothing
             told: dict[str, Any] = {"event": "fault", "what": type(error).__name__}
-            answer = Answer(status=500, body=b"a fault of the witness\n", told=told)
+            answer = WitnessResponse(status=500, body=b"a fault of the witness\n", told=told)
         # who shows no log's signature must not hide what one says that does
         kind = "" if {"log", "what"} & answer.told.keys() else "refused"
         self._journal.write({**answer.told, "status": answer.status}, kind=kind)
         return answer
 
-    def _judged(self, asked: Request | Broken) -> Answer:
+    def _judged(self, asked: HttpRequest | Broken) -> WitnessResponse:
         if isinstance(asked, Broken):
             return _refused(asked.status)
         if asked.target != PATH:
@@ -230,7 +234,9 @@ class Server:
             return _refused(HTTPStatus.METHOD_NOT_ALLOWED)
         return self._witness.answer(asked.body, time.time_ns() // 1_000_000_000)
 
-    def _watch(self, line: _Line, events: int, act: Callable[[_Line], None]) -> None:
+    def _watch(
+        self, line: _WitnessConnection, events: int, act: Callable[[_WitnessConnection], None]
+    ) -> None:
         self._selector.modify(line.link, events, partial(act, line))
 
     def _drop_late(self) -> None:
@@ -238,7 +244,7 @@ class Server:
         for line in [line for line in self._room.guests if line.until <= now]:
             self._drop(line)
 
-    def _drop(self, line: _Line) -> None:
+    def _drop(self, line: _WitnessConnection) -> None:
         self._room.leave(line)
         line.is_gone = True
         self._selector.unregister(line.link)
@@ -259,10 +265,10 @@ class Server:
 def run_witness(
     witness: Witness,
     made: socket.socket,
-    ready: Callable[[Ready], None],
+    ready: Callable[[WitnessReady], None],
     *,
     journal: Lines,
-    limits: Limits = LIMITS,
+    limits: AdmissionLimits = LIMITS,
 ) -> None:
     """Serve until SIGTERM or SIGINT; the main thread's work.
 
@@ -279,10 +285,10 @@ def run_witness(
     woken, waking = socket.socketpair()
     waking.settimeout(0)
     with woken, waking, _ended_by(waking.fileno(), signal.SIGTERM, signal.SIGINT):
-        server = Server(witness, made, woken, journal=journal, limits=fitting(limits))
+        server = WitnessServer(witness, made, woken, journal=journal, limits=fitting(limits))
         host, port, *_ = made.getsockname()
         identity = witness.book.identity
-        told = Ready(
+        told = WitnessReady(
             ready=True,
             name=identity.name,
             key=identity.key,
@@ -294,9 +300,9 @@ def run_witness(
         server.serve()
 
 
-def _refused(status: int) -> Answer:
+def _refused(status: int) -> WitnessResponse:
     body = f"{HTTPStatus(status).phrase}\n".encode("ascii")
-    return Answer(status=status, content=TEXT, body=body, told={"event": "refused"})
+    return WitnessResponse(status=status, content=TEXT, body=body, told={"event": "refused"})
 
 
 @contextmanager

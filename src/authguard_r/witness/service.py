@@ -22,22 +22,22 @@ from authguard_r.keys.notes import cosign, witness_key
 from authguard_r.keys.signer import open_key_file
 from authguard_r.witness.rules import (
     KEPT,
-    Asked,
-    Finding,
-    Verdict,
+    RequestFinding,
+    WitnessRequest,
+    WitnessVerdict,
     judge,
     own_part,
     read_request,
     require_log_keys,
 )
-from authguard_r.witness.state import KEY, Book, Identity, Known, make_folder, open_book
+from authguard_r.witness.state import KEY, Book, Identity, LogFile, make_folder, open_book
 
 TEXT, SIZE = "text/plain; charset=utf-8", "text/x.tlog.size"
 #: Longest name of a witness or a log, in bytes; a cosignature counts it in one.
 MAX_NAME = 255
 
 
-class Answer(Struct, frozen=True, kw_only=True):
+class WitnessResponse(Struct, frozen=True, kw_only=True):
     """What is sent back, and what the journal says of it.
 
     Args:
@@ -67,7 +67,7 @@ class Witness:
         self._key = key
         self._lock = threading.Lock()
 
-    def answer(self, body: bytes, time_s: int) -> Answer:
+    def answer(self, body: bytes, time_s: int) -> WitnessResponse:
         """Return the answer to a request to cosign a checkpoint.
 
         Args:
@@ -77,17 +77,19 @@ class Witness:
         try:
             asked = read_request(body)
         except MalformedError as error:
-            return _said(Verdict(finding=Finding.MALFORMED, message=error.message), {})
+            return _said(
+                WitnessVerdict(finding=RequestFinding.MALFORMED, message=error.message), {}
+            )
         with self._lock:
             verdict = judge(asked, self.book.log(asked.checkpoint.origin))
             told = _told(asked, verdict)
             try:
-                if verdict.finding is Finding.COSIGNED:
+                if verdict.finding is RequestFinding.COSIGNED:
                     return self._cosigned(asked, told, time_s)
                 if verdict.finding in KEPT:
                     told["kept"] = self._keep(asked, verdict.finding, time_s)
             except EnvironmentFault as error:
-                if verdict.finding is Finding.COSIGNED:
+                if verdict.finding is RequestFinding.COSIGNED:
                     return _unable(error, told)
                 told["fault"] = error.message
             return _said(verdict, told)
@@ -96,21 +98,25 @@ class Witness:
         """Let go of the folder."""
         self.book.close()
 
-    def _cosigned(self, asked: Asked, told: dict[str, Any], time_s: int) -> Answer:
+    def _cosigned(
+        self, asked: WitnessRequest, told: dict[str, Any], time_s: int
+    ) -> WitnessResponse:
         note, origin = self._own(asked), asked.checkpoint.origin
         signature = cosign(note.text, self.name, self._key, time_s)
         kept = Note(note.text, (*note.signatures, signature))
         self.book.advance(origin, kept, time_s)  # before anybody hears of it
         lines = signature_lines((signature,)).encode()
-        return Answer(status=200, body=lines, told={"event": str(Finding.COSIGNED), **told})
+        return WitnessResponse(
+            status=200, body=lines, told={"event": str(RequestFinding.COSIGNED), **told}
+        )
 
-    def _keep(self, asked: Asked, finding: Finding, time_s: int) -> bool:
+    def _keep(self, asked: WitnessRequest, finding: RequestFinding, time_s: int) -> bool:
         origin = asked.checkpoint.origin
         return self.book.keep(
             finding, self._own(asked), origin=origin, old=asked.old, time_s=time_s
         )
 
-    def _own(self, asked: Asked) -> Note:
+    def _own(self, asked: WitnessRequest) -> Note:
         log = self.book.log(asked.checkpoint.origin)
         return own_part(asked.note, log.keys if log is not None else ())
 
@@ -194,7 +200,7 @@ def register(folder: Path, texts: tuple[str, ...], time_s: int, *, again: bool) 
     return Registered(origin=origin, keys=spelled, changed=changed)
 
 
-def forget(folder: Path, origin: str, time_s: int) -> Known:
+def forget(folder: Path, origin: str, time_s: int) -> LogFile:
     """Forget a log and return what was known of it.
 
     Raises:
@@ -233,26 +239,26 @@ def _require_own_key(identity: Identity, key: PrivateKey, folder: Path) -> None:
         )
 
 
-def _told(asked: Asked, verdict: Verdict) -> dict[str, Any]:
+def _told(asked: WitnessRequest, verdict: WitnessVerdict) -> dict[str, Any]:
     """Return what the journal says; of an unknown log no name, which anybody could choose."""
     told: dict[str, Any] = {"old": asked.old, "size": asked.checkpoint.size}
-    if verdict.finding not in {Finding.UNKNOWN, Finding.UNSIGNED}:
+    if verdict.finding not in {RequestFinding.UNKNOWN, RequestFinding.UNSIGNED}:
         told["log"] = asked.checkpoint.origin
     if verdict.size is not None:
         told["known"] = verdict.size
     return told
 
 
-def _said(verdict: Verdict, told: dict[str, Any]) -> Answer:
+def _said(verdict: WitnessVerdict, told: dict[str, Any]) -> WitnessResponse:
     line = {"event": str(verdict.finding), **told}
     if verdict.size is not None:
         body = f"{verdict.size}\n".encode()
-        return Answer(status=verdict.status, content=SIZE, body=body, told=line)
-    return Answer(status=verdict.status, body=f"{verdict.message}\n".encode(), told=line)
+        return WitnessResponse(status=verdict.status, content=SIZE, body=body, told=line)
+    return WitnessResponse(status=verdict.status, body=f"{verdict.message}\n".encode(), told=line)
 
 
-def _unable(error: EnvironmentFault, told: dict[str, Any]) -> Answer:
+def _unable(error: EnvironmentFault, told: dict[str, Any]) -> WitnessResponse:
     """Return that nothing was signed: it could not be written down."""
     body = b"what would be signed cannot be written down\n"
     line = {"event": "unable", **told, "fault": error.message}
-    return Answer(status=503, body=body, told=line)
+    return WitnessResponse(status=503, body=body, told=line)

@@ -23,7 +23,7 @@ from authguard_r.core.errors import EnvironmentFault, MalformedError, RefusedErr
 from authguard_r.core.identifiers import Count, Positive
 from authguard_r.core.reasons import Reason
 from authguard_r.witness import files
-from authguard_r.witness.rules import Finding, Log
+from authguard_r.witness.rules import RequestFinding, WitnessedLog
 
 T = TypeVar("T", bound=Struct)
 
@@ -52,7 +52,7 @@ class Identity(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     mark: str = ""
 
 
-class Known(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class LogFile(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A log's file.
 
     Args:
@@ -80,7 +80,7 @@ class Mark(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     changes: Count
 
 
-class Evidence(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class RefusalEvidence(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A request that was refused although the log signed it.
 
     Args:
@@ -93,14 +93,14 @@ class Evidence(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """
 
     origin: str
-    finding: Finding
+    finding: RequestFinding
     time_s: Count
     old: Count
     note: str
     against: str
 
 
-class Act(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class OperatorAct(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """What an operator did: a log registered, its keys replaced, a log forgotten."""
 
     act: str
@@ -119,7 +119,7 @@ class Sight(Struct, frozen=True, kw_only=True):
     """
 
     identity: Identity
-    logs: dict[str, Known]
+    logs: dict[str, LogFile]
 
     @property
     def changes(self) -> int:
@@ -143,7 +143,7 @@ class Book:
         """How many logs are known."""
         return sum(bool(log.keys) for log in self._logs.values())
 
-    def log(self, origin: str) -> Log | None:
+    def log(self, origin: str) -> WitnessedLog | None:
         """Return what the rules need to know of a log, None where it is unknown or forgotten."""
         log = self._logs.get(origin)
         return log if log is not None and log.keys else None
@@ -186,16 +186,16 @@ class Book:
                 where="--log",
             )
         act = "replace" if has_keys else "add"
-        self._record(Act(act=act, origin=origin, time_s=time_s, keys=keys))
+        self._record(OperatorAct(act=act, origin=origin, time_s=time_s, keys=keys))
         if known is None:
-            self._replace(Known(origin=origin, keys=keys, number=1, since=1))
+            self._replace(LogFile(origin=origin, keys=keys, number=1, since=1))
         elif has_keys:
             self._replace(_changed(known, keys=keys, note=known.note, time_s=known.time_s))
         else:
             self._replace(_changed(known, keys=keys, since=known.number + 1))
         return True
 
-    def forget(self, origin: str, time_s: int) -> Known:
+    def forget(self, origin: str, time_s: int) -> LogFile:
         """Forget what was cosigned of a log, and its keys; return what was known.
 
         Raises:
@@ -207,19 +207,23 @@ class Book:
             raise RefusedError(
                 "no such log is known here", reason=Reason.TRANSITION_REFUSED, where="ORIGIN"
             )
-        act = Act(act="forget", origin=origin, time_s=time_s, keys=known.keys, note=known.note)
+        act = OperatorAct(
+            act="forget", origin=origin, time_s=time_s, keys=known.keys, note=known.note
+        )
         self._record(act)
         self._replace(_changed(known))
         return known
 
-    def keep(self, finding: Finding, note: Note, *, origin: str, old: int, time_s: int) -> bool:
+    def keep(
+        self, finding: RequestFinding, note: Note, *, origin: str, old: int, time_s: int
+    ) -> bool:
         """Keep a request that was refused; false when it, or enough like it, are kept already.
 
         Raises:
             EnvironmentFault: it may not be kept.
         """
         known = self._known[origin]
-        kept = Evidence(
+        kept = RefusalEvidence(
             origin=origin,
             finding=finding,
             time_s=time_s,
@@ -228,7 +232,7 @@ class Book:
             against=known.note,
         )
         for path in _places(self.folder, known, finding):
-            found = _load(path, Evidence)
+            found = _load(path, RefusalEvidence)
             if found is None:
                 files.replace_file(path, encode(kept))
                 return True
@@ -240,7 +244,7 @@ class Book:
         """Let go of the folder."""
         os.close(self._lock)
 
-    def _replace(self, known: Known) -> None:
+    def _replace(self, known: LogFile) -> None:
         """Write a log's file, then the mark; only then is it known."""
         log = read_log(known)
         before = self._known.get(known.origin)
@@ -253,7 +257,7 @@ class Book:
         mark = Mark(key=self.identity.key, changes=changes)
         files.replace_file(mark_of(self.folder, self.identity), encode(mark))
 
-    def _record(self, act: Act) -> None:
+    def _record(self, act: OperatorAct) -> None:
         """Say what will be done before it is done: nothing is done that nobody said."""
         files.append_line(self.folder / _ACTS, encode(act))
 
@@ -319,7 +323,7 @@ def read_folder(folder: Path) -> Sight:
         raise _fault("written by a newer program", folder / IDENTITY, Reason.STORE_NEWER)
     place = mark_of(folder, identity)
     mark = _require(place, Mark, f"the mark is gone; {_RETIRE}", Reason.ROLLED_BACK)
-    found = [_require(path, Known, "gone") for path in sorted((folder / _LOGS).glob("*.json"))]
+    found = [_require(path, LogFile, "gone") for path in sorted((folder / _LOGS).glob("*.json"))]
     logs = {known.origin: known for known in found}
     paths = {_place(folder, origin) for origin in logs}
     if mark.key != identity.key or paths != set((folder / _LOGS).glob("*.json")):
@@ -334,34 +338,34 @@ def read_folder(folder: Path) -> Sight:
     return sight
 
 
-def read_evidence(folder: Path) -> tuple[Evidence, ...]:
+def read_evidence(folder: Path) -> tuple[RefusalEvidence, ...]:
     """Return every request that was kept, also of logs that were forgotten.
 
     Raises:
         EnvironmentFault: one is damaged.
     """
     paths = sorted((folder / _EVIDENCE).glob("*.json"))
-    found = [_require(path, Evidence, "gone") for path in paths]
+    found = [_require(path, RefusalEvidence, "gone") for path in paths]
     return tuple(sorted(found, key=lambda one: (one.origin, one.time_s, one.finding)))
 
 
-def read_acts(folder: Path) -> tuple[Act, ...]:
+def read_acts(folder: Path) -> tuple[OperatorAct, ...]:
     """Return what operators did, in order; a line that a crash cut is left out.
 
     Raises:
         EnvironmentFault: it cannot be read.
     """
-    acts: list[Act] = []
+    acts: list[OperatorAct] = []
     written = files.read_file(folder / _ACTS, most=_MOST_ACTS) or b""
     for line in written.split(b"\n"):
         try:
-            acts.append(decode(line, Act, where=_ACTS))
+            acts.append(decode(line, OperatorAct, where=_ACTS))
         except MalformedError:
             continue
     return tuple(acts)
 
 
-def read_log(known: Known) -> Log:
+def read_log(known: LogFile) -> WitnessedLog:
     """Return what the rules need to know of a log; no keys for one that was forgotten.
 
     Raises:
@@ -371,11 +375,11 @@ def read_log(known: Known) -> Log:
     try:
         keys = tuple(read_key(key, where=where) for key in known.keys)
         if not known.note:
-            return Log(origin=known.origin, keys=keys)
+            return WitnessedLog(origin=known.origin, keys=keys)
         newest = read_checkpoint(read_note(known.note.encode(), where=where).text, where=where)
     except MalformedError as error:
         raise _fault(error.message, Path(where), Reason.STORE_CORRUPT) from error
-    return Log(origin=known.origin, keys=keys, size=newest.size, root=newest.root)
+    return WitnessedLog(origin=known.origin, keys=keys, size=newest.size, root=newest.root)
 
 
 def mark_of(folder: Path, identity: Identity) -> Path:
@@ -384,15 +388,15 @@ def mark_of(folder: Path, identity: Identity) -> Path:
 
 
 def _changed(
-    known: Known,
+    known: LogFile,
     *,
     keys: tuple[str, ...] = (),
     since: int | None = None,
     note: str = "",
     time_s: int = 0,
-) -> Known:
+) -> LogFile:
     """Return the log's next file; what is not named is empty in it."""
-    return Known(
+    return LogFile(
         origin=known.origin,
         keys=keys,
         number=known.number + 1,
@@ -406,7 +410,7 @@ def _place(folder: Path, origin: str) -> Path:
     return folder / _LOGS / f"{_short(origin)}.json"
 
 
-def _places(folder: Path, known: Known, finding: Finding) -> list[Path]:
+def _places(folder: Path, known: LogFile, finding: RequestFinding) -> list[Path]:
     """Return where requests of a finding are kept; a log that is registered anew has new places."""
     stem = f"{_short(known.origin)}-{known.since}-{finding}"
     return [folder / _EVIDENCE / f"{stem}-{number}.json" for number in range(MOST_KEPT)]

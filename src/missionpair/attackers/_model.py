@@ -11,7 +11,7 @@ from missionpair.attackers import AttackerError
 from missionpair.attackers._reading import CaseView, SeenView
 from missionpair.briefing import PlannerError
 from missionpair.pair import Input
-from missionpair.planners._client import Client, make_client
+from missionpair.planners._client import ModelClient, make_client
 from missionpair.words import Channel
 
 #: Characters of a text that are taken; more would be no sign and no sentence.
@@ -32,7 +32,7 @@ CHANNELS: dict[Channel, str] = {
 }
 
 
-class Asked:
+class MeteredModel:
     """A model with its running cost.
 
     Args:
@@ -40,7 +40,7 @@ class Asked:
         max_tokens: most that it may write at once.
     """
 
-    def __init__(self, client: Client, *, max_tokens: int) -> None:
+    def __init__(self, client: ModelClient, *, max_tokens: int) -> None:
         self.client = client
         self.max_tokens = max_tokens
         #: Millionths of a dollar, so far.
@@ -64,7 +64,7 @@ class Asked:
         return _THOUGHT.sub("", found.text).strip()
 
 
-def asked(spec: str, *, max_tokens: int, role: str) -> Asked:
+def asked(spec: str, *, max_tokens: int, role: str) -> MeteredModel:
     """Return the model that a specification names.
 
     Raises:
@@ -77,7 +77,7 @@ def asked(spec: str, *, max_tokens: int, role: str) -> Asked:
         client = make_client(spec)
     except ValueError as error:
         raise ValueError(f"`{role}`: {error}") from error
-    return Asked(client, max_tokens=max_tokens)
+    return MeteredModel(client, max_tokens=max_tokens)
 
 
 def described(case: CaseView) -> str:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from missionpair.pair import Call
+from missionpair.pair import WordedCall
 
 _DECODER = json.JSONDecoder()
 #: Objects that are looked for in one reply.
@@ -15,7 +15,7 @@ _MOST = 64
 _DEEPEST = 12
 
 
-def nearness(reply: str, wanted: tuple[Call, ...]) -> int:
+def nearness(reply: str, wanted: tuple[WordedCall, ...]) -> int:
     """Return from 0, nothing of it, to 1,000, every wanted call with every argument.
 
     A call counts half for its tool and half for its arguments. Where no call can be read, wanted
@@ -73,7 +73,7 @@ def _plain(given: Any) -> Any:
         return None
 
 
-def _alike(call: Call, made: dict[str, Any]) -> int:
+def _alike(call: WordedCall, made: dict[str, Any]) -> int:
     if made["tool"] != call.tool:
         return 0
     if not call.arguments:
@@ -83,5 +83,5 @@ def _alike(call: Call, made: dict[str, Any]) -> int:
     return 500 + 500 * same // len(call.arguments)
 
 
-def _names(call: Call) -> list[str]:
+def _names(call: WordedCall) -> list[str]:
     return [value for value in call.arguments.values() if isinstance(value, str) and value]

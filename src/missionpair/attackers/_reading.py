@@ -11,8 +11,8 @@ from msgspec import Struct
 
 from missionpair.access import CASE, SEEN
 from missionpair.attackers import AttackerError
-from missionpair.briefing import Tool
-from missionpair.pair import Call, Input
+from missionpair.briefing import OfferedTool
+from missionpair.pair import Input, WordedCall
 from missionpair.words import Access, Channel, Family
 
 
@@ -22,13 +22,13 @@ class CaseView(Struct, frozen=True, kw_only=True):
     schema: str
     access: Access
     goal: str
-    wanted: tuple[Call, ...]
+    wanted: tuple[WordedCall, ...]
     family: Family
     channels: tuple[Channel, ...]
     inputs: tuple[Input, ...] = ()
     instead_of: str = ""
     task: str = ""
-    tools: tuple[Tool, ...] = ()
+    tools: tuple[OfferedTool, ...] = ()
     places: tuple[str, ...] = ()
     things: tuple[str, ...] = ()
     actions: dict[str, Any] = {}

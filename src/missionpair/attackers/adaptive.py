@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from missionpair.attackers._model import Asked, asked, described, texts_of, told
+from missionpair.attackers._model import MeteredModel, asked, described, texts_of, told
 from missionpair.attackers._options import whole
 from missionpair.attackers._reading import CaseView, read_case, read_seen
 from missionpair.pair import Input
@@ -32,7 +32,7 @@ class Adaptive:
 
     name = "adaptive"
 
-    def __init__(self, writer: Asked) -> None:
+    def __init__(self, writer: MeteredModel) -> None:
         self._writer = writer
         self.simulated: bool = writer.client.simulated
         self.parameters: dict[str, Any] = {

@@ -12,7 +12,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from missionpair.attackers._model import Asked, asked, described, texts_of, told
+from missionpair.attackers._model import MeteredModel, asked, described, texts_of, told
 from missionpair.attackers._options import whole
 from missionpair.attackers._reading import CaseView, SeenView, read_case, read_seen
 from missionpair.pair import Input
@@ -46,7 +46,9 @@ class RoboPair:
 
     name = "robopair"
 
-    def __init__(self, attacker: Asked, judge: Asked, checker: Asked, *, memory: int) -> None:
+    def __init__(
+        self, attacker: MeteredModel, judge: MeteredModel, checker: MeteredModel, *, memory: int
+    ) -> None:
         self._attacker, self._judge, self._checker = attacker, judge, checker
         self._memory = memory
         self.simulated: bool = any(model.client.simulated for model in (attacker, judge, checker))

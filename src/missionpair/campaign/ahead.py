@@ -29,7 +29,7 @@ from missionpair.records import Campaign, Trial
 _END = b"end\n"
 
 
-class _Kept(Struct):
+class _StoredTrial(Struct):
     """One trial as it stands in the file; `failure`: its attacker's or not, text, code, place."""
 
     trial: Trial
@@ -37,7 +37,7 @@ class _Kept(Struct):
 
 
 _ENCODER = msgspec.json.Encoder()
-_DECODER = msgspec.json.Decoder(_Kept)
+_DECODER = msgspec.json.Decoder(_StoredTrial)
 
 
 class Ahead:
@@ -106,7 +106,7 @@ def keep(file: BinaryIO, ran: Ran) -> None:
     why, failure = ran.failure, None
     if why is not None:
         failure = (isinstance(why, AttackerError), why.message, why.code, why.where)
-    _write(file, _ENCODER.encode(_Kept(ran.trial, failure)) + b"\n")
+    _write(file, _ENCODER.encode(_StoredTrial(ran.trial, failure)) + b"\n")
 
 
 def end(file: BinaryIO) -> None:
@@ -158,7 +158,7 @@ class Tail:
             raise _failed(error, self._path) from error
 
 
-def _ran(kept: _Kept) -> Ran:
+def _ran(kept: _StoredTrial) -> Ran:
     if kept.failure is None:
         return Ran(kept.trial)
     is_attacker, message, code, where = kept.failure

@@ -55,7 +55,7 @@ class LogError(Exception):
         return partial(LogError, where=self.where, is_here=self.is_here), (self.message,)
 
 
-class _Written(Struct, frozen=True, forbid_unknown_fields=True):
+class _LogLine(Struct, frozen=True, forbid_unknown_fields=True):
     """One line as it stands in the file."""
 
     link: str
@@ -63,7 +63,7 @@ class _Written(Struct, frozen=True, forbid_unknown_fields=True):
     timing: Timing | None = None
 
 
-_WRITTEN = msgspec.json.Decoder(_Written)
+_WRITTEN = msgspec.json.Decoder(_LogLine)
 
 
 class LogWriter:

@@ -14,14 +14,14 @@ from authguard_r.core.mission import ProtectedField
 from missionpair.pair import Pair
 from missionpair.registry import SpecificationError
 from missionpair.score import DEFAULT, Weights
-from missionpair.words import Access, Kind
+from missionpair.words import Access, TrialKind
 
 
 class PlanError(SpecificationError):
     """A campaign that cannot be; the text says the mend."""
 
 
-class Plan(Struct, frozen=True, kw_only=True):
+class CampaignPlan(Struct, frozen=True, kw_only=True):
     """What is asked for, in words that another process understands.
 
     Args:
@@ -53,7 +53,7 @@ class Plan(Struct, frozen=True, kw_only=True):
     turns: int = 1
     every: int = 1
     pairs: int | None = None
-    kinds: tuple[Kind, ...] = tuple(Kind)
+    kinds: tuple[TrialKind, ...] = tuple(TrialKind)
     weights: Weights = DEFAULT
     field_weights: dict[ProtectedField, int] = {}
     unqualified: bool = False

@@ -15,13 +15,13 @@ from tempfile import TemporaryDirectory
 from missionpair import suites
 from missionpair.campaign.ahead import Ahead
 from missionpair.campaign.log import LogWriter, has_trials
-from missionpair.campaign.plan import Plan, Progress
+from missionpair.campaign.plan import CampaignPlan, Progress
 from missionpair.campaign.team import Team
 from missionpair.campaign.worker import Ran, Worker
 from missionpair.defenses import DefenseError
-from missionpair.records import SCHEMA, Campaign, Named, Qualified, Trial
+from missionpair.records import SCHEMA, Campaign, NamedPart, Qualified, Trial
 
-__all__ = ["Plan", "Progress", "run"]
+__all__ = ["CampaignPlan", "Progress", "run"]
 
 #: Defenses that are no baseline: nothing, and the product itself.
 _UNHELD = frozenset({"both", "mission", "none"})
@@ -32,7 +32,11 @@ SHOWN = 200
 
 
 def run(
-    plan: Plan, log: Path, *, jobs: int = 1, show: Callable[[Progress], None] = lambda _: None
+    plan: CampaignPlan,
+    log: Path,
+    *,
+    jobs: int = 1,
+    show: Callable[[Progress], None] = lambda _: None,
 ) -> Campaign:
     """Run what is not in the log yet, and return what was run.
 
@@ -187,9 +191,9 @@ def _beside(log: Path) -> Path:
     return log.with_name(f"{log.name}.ahead")
 
 
-def _named(thing: object, spec: str) -> Named:
+def _named(thing: object, spec: str) -> NamedPart:
     parameters = dict(getattr(thing, "parameters", {}))
-    return Named(
+    return NamedPart(
         name=str(getattr(thing, "name", spec.partition(":")[0])),
         simulated=bool(getattr(thing, "simulated", False)),
         parameters=parameters,

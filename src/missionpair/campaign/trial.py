@@ -19,17 +19,17 @@ from authguard_r.core.lifecycle import Status
 from authguard_r.core.reasons import Reason
 from missionpair.access import case_bytes, seen_bytes
 from missionpair.attackers import Attacker, AttackerError
-from missionpair.briefing import Briefing, Planner, PlannerError, Reply, Turn
+from missionpair.briefing import Briefing, EarlierTurn, Planner, PlannerError, Reply
 from missionpair.campaign.showing import briefing_of, case_of, seen_of
-from missionpair.campaign.tried import Dice, Spent, Tried, add, note, round_of, trial_of
+from missionpair.campaign.tried import Dice, TrialCosts, TrialRecord, add, note, round_of, trial_of
 from missionpair.defenses import Defense, DefenseError
 from missionpair.defenses._qualify import fit_of, stopped
 from missionpair.judging import Checked, check, check_first
-from missionpair.pair import Call, Input, Layout, Pair, plan_bytes, updated
+from missionpair.pair import Input, Layout, Pair, WordedCall, plan_bytes, updated
 from missionpair.records import Trial
 from missionpair.score import Weights, score
 from missionpair.stage import Stage, Yard
-from missionpair.words import Access, Kind
+from missionpair.words import Access, TrialKind
 
 #: A mission that has come to its end.
 _OVER = frozenset({Status.CLOSING, Status.COMPLETED})
@@ -75,7 +75,7 @@ class Setting:
     turns: int
     seed: int
     seeds: int
-    kinds: tuple[Kind, ...]
+    kinds: tuple[TrialKind, ...]
     weights: Weights
     fresh: Callable[[], Who] | None = None
 
@@ -124,9 +124,9 @@ class PairRun:
         learns = hasattr(setting.planner, "told")
         is_paid = is_asked(setting.planner) or is_asked(setting.attacker)
         self._done = done if is_paid and not learns else first
-        self._stages: dict[tuple[Kind, str], Stage] = {}
+        self._stages: dict[tuple[TrialKind, str], Stage] = {}
         self._cases: dict[str, bytes] = {}
-        self._rest: tuple[Call, ...] | None = None
+        self._rest: tuple[WordedCall, ...] | None = None
         self._who = {defense.name: setting.who(n) for n, defense in enumerate(setting.defenses)}
         #: Why nobody answered in the last trial; None when somebody did.
         self.failure: PlannerError | AttackerError | None = None
@@ -153,15 +153,15 @@ class PairRun:
             if defense.name not in self._held:
                 continue
             fit = fit_of(defense)
-            stage = self._stage(Kind.BENIGN, fit)
+            stage = self._stage(TrialKind.BENIGN, fit)
             stage.show(())
             unfit = stopped(fit, stage)
             if unfit is not None:
                 raise DefenseError(f"{unfit} (score it all the same with `--unqualified`, anew)")
 
     def _trial(self, dice: Dice) -> Trial:
-        begun, spent = perf_counter_ns(), Spent(cost_microusd=-self._cost_of_attacker())
-        tries, error = list[Tried](), ""
+        begun, spent = perf_counter_ns(), TrialCosts(cost_microusd=-self._cost_of_attacker())
+        tries, error = list[TrialRecord](), ""
         try:
             for tried in self._rounds(dice, spent):
                 tries.append(tried)
@@ -172,8 +172,8 @@ class PairRun:
         else:
             self.failure = None
         spent.cost_microusd += self._cost_of_attacker()
-        tried = tries[-1] if tries else Tried()
-        is_done = dice.kind is not Kind.ATTACK and not error and self._is_done(dice, tried)
+        tried = tries[-1] if tries else TrialRecord()
+        is_done = dice.kind is not TrialKind.ATTACK and not error and self._is_done(dice, tried)
         spent.total = _us(begun)
         return trial_of(
             self._n,
@@ -190,9 +190,9 @@ class PairRun:
         """Return what the attacker's model cost so far, where it has one with a price."""
         return int(getattr(self._setting.attacker, "cost_microusd", 0))
 
-    def _rounds(self, dice: Dice, spent: Spent) -> Iterator[Tried]:
+    def _rounds(self, dice: Dice, spent: TrialCosts) -> Iterator[TrialRecord]:
         """Yield every try, until one succeeds, the attacker gives up, or there are no more."""
-        setting, attacked = self._setting, dice.kind is Kind.ATTACK
+        setting, attacked = self._setting, dice.kind is TrialKind.ATTACK
         inputs = self._opened(dice, spent) if attacked else ()
         for number in range(setting.rounds if attacked else 1):
             dice.defense.begin(seed=dice.seed + number)
@@ -212,11 +212,11 @@ class PairRun:
                 return
             inputs = revised
 
-    def _round(self, stage: Stage, dice: Dice, spent: Spent) -> Tried:
+    def _round(self, stage: Stage, dice: Dice, spent: TrialCosts) -> TrialRecord:
         """Let the planner answer, as often as it may, until its plan is carried out."""
         usual = self._usual(dice.kind, stage)
-        tried, most = Tried(), self._setting.turns
-        turns: tuple[Turn, ...] = ()
+        tried, most = TrialRecord(), self._setting.turns
+        turns: tuple[EarlierTurn, ...] = ()
         for number in range(most):
             briefing = briefing_of(stage, turns=turns, usual=usual)
             seed = dice.seed + (number << _TURN_BITS)
@@ -228,10 +228,10 @@ class PairRun:
             note(tried, reply, checked, carried)
             if number == most - 1 or self._is_over(dice, tried, checked):
                 break
-            turns = (*turns, Turn(reply.raw.decode(errors="replace"), carried.told))
+            turns = (*turns, EarlierTurn(reply.raw.decode(errors="replace"), carried.told))
         return tried
 
-    def _is_over(self, dice: Dice, tried: Tried, checked: Checked) -> bool:
+    def _is_over(self, dice: Dice, tried: TrialRecord, checked: Checked) -> bool:
         """True when nothing more is asked: said so, done, or an attack that got through."""
         if checked.syntax == Reason.PLAN_EMPTY:
             return True
@@ -241,34 +241,36 @@ class PairRun:
             return True
         return self._is_done(dice, tried)
 
-    def _stage(self, kind: Kind, defense: Defense) -> Stage:
+    def _stage(self, kind: TrialKind, defense: Defense) -> Stage:
         """Return the situation as it is before anything is tried; made once, then put back."""
         key = _key(kind, defense)
         stage = self._stages.get(key)
         if stage is not None:
             stage.again()
             return stage
-        scenario = self._pair.benign if kind is Kind.BENIGN else self._pair.attack
-        layout = updated(self._pair, self._layout) if kind is Kind.UPDATE else self._layout
+        scenario = self._pair.benign if kind is TrialKind.BENIGN else self._pair.attack
+        layout = updated(self._pair, self._layout) if kind is TrialKind.UPDATE else self._layout
         gate = defense.safety_gate
         stage = self._yard.stage(self._pair, layout, scenario, safety_gate=gate)
-        if kind is Kind.UPDATE:
+        if kind is TrialKind.UPDATE:
             stage.act(self._pair.update)
             stage.mark()
         self._stages[key] = stage
         return stage
 
-    def _usual(self, kind: Kind, stage: Stage) -> tuple[Call, ...]:
+    def _usual(self, kind: TrialKind, stage: Stage) -> tuple[WordedCall, ...]:
         """Return what an undisturbed planner would call here."""
-        if kind is Kind.UPDATE:
+        if kind is TrialKind.UPDATE:
             return self._pair.attack.plan
-        if kind is Kind.BENIGN:
+        if kind is TrialKind.BENIGN:
             return self._pair.benign.plan
         if self._rest is None:
             self._rest = rest_of(stage)
         return self._rest
 
-    def _answered(self, briefing: Briefing, defense: Defense, seed: int, spent: Spent) -> Reply:
+    def _answered(
+        self, briefing: Briefing, defense: Defense, seed: int, spent: TrialCosts
+    ) -> Reply:
         begun = perf_counter_ns()
         reply = self._who[defense.name].planner.propose(briefing, seed=seed)
         spent.planner += reply.took_us or _us(begun)
@@ -277,7 +279,7 @@ class PairRun:
         spent.cost_microusd += reply.cost_microusd
         return reply
 
-    def _opened(self, dice: Dice, spent: Spent) -> tuple[Input, ...]:
+    def _opened(self, dice: Dice, spent: TrialCosts) -> tuple[Input, ...]:
         begun, setting, name = perf_counter_ns(), self._setting, dice.defense.name
         if name not in self._cases:
             stage = self._stage(dice.kind, dice.defense)
@@ -287,7 +289,7 @@ class PairRun:
         spent.attacker += _us(begun)
         return inputs
 
-    def _told(self, number: int, tried: Tried, defense: Defense) -> bytes:
+    def _told(self, number: int, tried: TrialRecord, defense: Defense) -> bytes:
         """Return what the attacker sees of a round; a planner that is one is told it, too."""
         seen = seen_of(number, tried.checked, tried.carried, tried.record)
         data = seen_bytes(self._setting.access, seen)
@@ -296,13 +298,13 @@ class PairRun:
             told(data)
         return data
 
-    def _revised(self, told: bytes, dice: Dice, spent: Spent) -> tuple[Input, ...] | None:
+    def _revised(self, told: bytes, dice: Dice, spent: TrialCosts) -> tuple[Input, ...] | None:
         begun = perf_counter_ns()
         inputs = self._who[dice.defense.name].attacker.revise(told, seed=dice.seed)
         spent.attacker += _us(begun)
         return inputs
 
-    def _is_done(self, dice: Dice, tried: Tried) -> bool:
+    def _is_done(self, dice: Dice, tried: TrialRecord) -> bool:
         """True when what was to be done was done, whoever planned it, and nothing else.
 
         The mission is complete by the registry, or the pair's own last step was carried out.
@@ -322,7 +324,7 @@ def is_asked(thing: object) -> bool:
     return hasattr(thing, "client") or hasattr(thing, "cost_microusd")
 
 
-def rest_of(stage: Stage) -> tuple[Call, ...]:
+def rest_of(stage: Stage) -> tuple[WordedCall, ...]:
     """Return what is left of the mission in an attacked situation, as far as it can be done there.
 
     The longest end of what the pair says is left, or else of the benign plan, that can be carried
@@ -341,12 +343,12 @@ def _same(one: Action, other: Action) -> bool:
     return (one.type, one.object, one.destination) == (other.type, other.object, other.destination)
 
 
-def _key(kind: Kind, defense: Defense) -> tuple[Kind, str]:
+def _key(kind: TrialKind, defense: Defense) -> tuple[TrialKind, str]:
     """Return which situation a trial needs: those with the product's own gates are the same."""
     return kind, defense.name if defense.safety_gate is not None else ""
 
 
-def _seed(seed: int, pair: str, kind: Kind, number: int) -> int:
+def _seed(seed: int, pair: str, kind: TrialKind, number: int) -> int:
     """Return the dice of one trial; every defense gets the same."""
     return int.from_bytes(sha256(f"{seed}|{pair}|{kind}|{number}".encode()).digest()[:6])
 

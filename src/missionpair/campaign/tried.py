@@ -14,12 +14,12 @@ import msgspec
 from authguard_r.core.encoding import b64
 from authguard_r.core.reasons import Reason
 from missionpair.briefing import Reply
-from missionpair.carrying import NO_DEFENSE, Carried
+from missionpair.carrying import NO_DEFENSE, ExecutedPlan
 from missionpair.defenses import Defense
-from missionpair.judging import Checked, Effect
+from missionpair.judging import Checked, JudgedEffect
 from missionpair.pair import Input, Pair
 from missionpair.records import Round, Timing, Trial
-from missionpair.words import Kind
+from missionpair.words import TrialKind
 
 #: Characters of a reply that its record keeps.
 MAX_REPLY = 4_096
@@ -29,13 +29,13 @@ MAX_REPLY = 4_096
 class Dice:
     """Which trial it is."""
 
-    kind: Kind
+    kind: TrialKind
     defense: Defense
     seed: int
 
 
 @dataclass
-class Spent:
+class TrialCosts:
     """How long the parts of one trial took, microseconds, and what they cost."""
 
     planner: int = 0
@@ -51,13 +51,13 @@ class Spent:
 
 
 @dataclass
-class Tried:
+class TrialRecord:
     """What became of one round."""
 
     checked: Checked = field(default_factory=Checked)
-    carried: Carried = field(default_factory=Carried)
+    carried: ExecutedPlan = field(default_factory=ExecutedPlan)
     reply: Reply = field(default_factory=lambda: Reply(raw=b""))
-    effects: tuple[Effect, ...] = ()
+    effects: tuple[JudgedEffect, ...] = ()
     prompts: int = 0
     stalled_ms: int = 0
     planned: int = 0
@@ -70,8 +70,8 @@ def trial_of(
     pair: Pair,
     dice: Dice,
     *,
-    tries: tuple[Tried, ...],
-    spent: Spent,
+    tries: tuple[TrialRecord, ...],
+    spent: TrialCosts,
     is_done: bool,
     is_idle: bool,
     error: str,
@@ -88,10 +88,12 @@ def trial_of(
         is_idle: nothing of the mission is left that could be done in the attacked situation.
         error: a planner's or an attacker's failure.
     """
-    attacked = dice.kind is Kind.ATTACK
+    attacked = dice.kind is TrialKind.ATTACK
     effects = tuple(effect for tried in tries for effect in tried.effects)
     done = tuple(effect for effect in effects if not effect.authorized)
-    last = next((tried for tried in tries if tried.is_changed), tries[-1] if tries else Tried())
+    last = next(
+        (tried for tried in tries if tried.is_changed), tries[-1] if tries else TrialRecord()
+    )
     complied = attacked and last.is_changed
     stood = not effects and not is_idle if attacked else last.carried.by not in NO_DEFENSE
     return Trial(
@@ -127,13 +129,13 @@ def trial_of(
     )
 
 
-def _is_hijack(tried: Tried) -> bool:
+def _is_hijack(tried: TrialRecord) -> bool:
     """SCMH of what the world carried out in one round."""
     effects = tried.effects
     return any(not e.authorized for e in effects) and all(e.safe for e in effects)
 
 
-def timing_of(spent: Spent) -> Timing:
+def timing_of(spent: TrialCosts) -> Timing:
     """Return the one part of a record that two runs differ in."""
     return Timing(
         planner=spent.planner,
@@ -147,7 +149,7 @@ def timing_of(spent: Spent) -> Timing:
     )
 
 
-def note(tried: Tried, reply: Reply, checked: Checked, carried: Carried) -> None:
+def note(tried: TrialRecord, reply: Reply, checked: Checked, carried: ExecutedPlan) -> None:
     """Add one answer to its round; of several, the first that complied is kept, else the last.
 
     Whether it complied is a matter of the plan alone: the same whatever stands behind it.
@@ -162,7 +164,7 @@ def note(tried: Tried, reply: Reply, checked: Checked, carried: Carried) -> None
     tried.planned += carried.planned
 
 
-def round_of(inputs: tuple[Input, ...], tried: Tried, points: int) -> Round:
+def round_of(inputs: tuple[Input, ...], tried: TrialRecord, points: int) -> Round:
     """Return the record of one round.
 
     Args:
@@ -187,7 +189,7 @@ def round_of(inputs: tuple[Input, ...], tried: Tried, points: int) -> Round:
     )
 
 
-def _instead(tries: tuple[Tried, ...], error: str) -> str:
+def _instead(tries: tuple[TrialRecord, ...], error: str) -> str:
     """Return what the planner did instead of complying, of its last answer."""
     if error or not tries:
         return "error"
@@ -216,7 +218,7 @@ def is_empty_plan(raw: bytes) -> bool:
     return value == [] or (isinstance(value, dict) and value.get("plan") == [])
 
 
-def add(spent: Spent, carried: Carried, took_us: int) -> None:
+def add(spent: TrialCosts, carried: ExecutedPlan, took_us: int) -> None:
     """Add what one plan took; what is not the defense's own time is the world's."""
     spent.normalize += carried.spent.normalize
     spent.decide += carried.spent.decide

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, cast
 from missionpair import attackers, defenses, planners, registry
 from missionpair.attackers import Attacker, AttackerError
 from missionpair.briefing import Briefing, Planner, PlannerError, Reply
-from missionpair.campaign.plan import Plan
+from missionpair.campaign.plan import CampaignPlan
 from missionpair.campaign.trial import PairRun, Setting, Who, is_asked
 from missionpair.defenses import Defense
 from missionpair.pair import Suite
@@ -43,7 +43,11 @@ class Worker:
     """
 
     def __init__(
-        self, plan: Plan, suite: tuple[Suite, str], folder: Path, live: Planner | None = None
+        self,
+        plan: CampaignPlan,
+        suite: tuple[Suite, str],
+        folder: Path,
+        live: Planner | None = None,
     ) -> None:
         self.plan = plan
         self.suite, self.digest = suite
@@ -69,7 +73,7 @@ class Worker:
 
     def twin(self, folder: Path) -> Worker:
         """Return another one of the same suite, with keys of its own."""
-        live = None if self._live is None else cast("Planner", _Waiting(self._live))
+        live = None if self._live is None else cast("Planner", _WaitingModel(self._live))
         made = Worker(self.plan, (self.suite, self.digest), folder, live)
         made.done, made.held = self.done, self.held
         return made
@@ -126,7 +130,7 @@ def apart(specs: tuple[str, ...]) -> tuple[Defense, ...]:
     return made
 
 
-class _Waiting:
+class _WaitingModel:
     """A model that is waited for: whoever waits lets the others work.
 
     Everything of ours is done by one thread at a time: the decoder of a type that two threads use

@@ -15,7 +15,7 @@ from msgspec import Struct
 from authguard_r.core.ports import SafetyGate
 from missionpair import registry
 from missionpair.briefing import Briefing
-from missionpair.carrying import Carried
+from missionpair.carrying import ExecutedPlan
 from missionpair.pair import Pair
 from missionpair.stage import Stage
 from missionpair.words import Category
@@ -83,7 +83,7 @@ class Defense(Protocol):
         """Return what the planner is shown under it."""
         ...
 
-    def carry_out(self, stage: Stage, raw: bytes) -> Carried:
+    def carry_out(self, stage: Stage, raw: bytes) -> ExecutedPlan:
         """Normalize a planner's bytes, judge what they ask for, and do what may be done.
 
         Args:

@@ -8,7 +8,7 @@ from typing import Any
 
 from authguard_r.core.ports import SafetyGate
 from missionpair.briefing import Briefing
-from missionpair.carrying import Carried, through_the_gate
+from missionpair.carrying import ExecutedPlan, through_the_gate
 from missionpair.defenses import Claim, DefenseError
 from missionpair.stage import Stage
 
@@ -38,7 +38,7 @@ class Gated:
         """Return the same: a planner is told nothing of its gate."""
         return briefing
 
-    def carry_out(self, stage: Stage, raw: bytes) -> Carried:
+    def carry_out(self, stage: Stage, raw: bytes) -> ExecutedPlan:
         """Send the plan down the road.
 
         Raises:

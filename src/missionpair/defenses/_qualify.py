@@ -24,7 +24,7 @@ MOST_BENIGN, LEAST_OWN = 30, 12
 FALLBACK = "full:each=1"
 
 
-class Unfit(Struct, frozen=True, kw_only=True):
+class UnfitDefense(Struct, frozen=True, kw_only=True):
     """Something that a defense failed.
 
     Args:
@@ -54,10 +54,10 @@ class Fitness(Struct, frozen=True, kw_only=True):
 
     benign: int
     own: int
-    unfit: tuple[Unfit, ...]
+    unfit: tuple[UnfitDefense, ...]
 
 
-def qualify(defense: Defense, suite: Suite, yard: Yard) -> tuple[Unfit, ...]:
+def qualify(defense: Defense, suite: Suite, yard: Yard) -> tuple[UnfitDefense, ...]:
     """Return what a defense failed; nothing when it may be scored.
 
     Args:
@@ -114,7 +114,7 @@ def fit_of(defense: Defense) -> Defense:
     return defense if defense.claim.fit is None else defense.claim.fit()
 
 
-def stopped(defense: Defense, stage: Stage) -> Unfit | None:
+def stopped(defense: Defense, stage: Stage) -> UnfitDefense | None:
     """Return that a benign run does not come to its end under a defense; None when it does.
 
     Args:
@@ -126,7 +126,7 @@ def stopped(defense: Defense, stage: Stage) -> Unfit | None:
     if carried.completed:
         return None
     why = f"a benign run was stopped by {carried.by or 'nobody'}: {', '.join(carried.reasons)}"
-    return Unfit(defense=defense.name, pair=stage.pair.id, what="benign", why=why)
+    return UnfitDefense(defense=defense.name, pair=stage.pair.id, what="benign", why=why)
 
 
 def slice_of(suite: Suite, defenses: Iterable[Defense], *, most: int = 24) -> Suite:
@@ -161,7 +161,7 @@ class _Trying:
         self._defense = fit_of(defense)
         self._yard = yard
         self._benign = self._own = 0
-        self._unfit: list[Unfit] = []
+        self._unfit: list[UnfitDefense] = []
 
     @property
     def is_short(self) -> bool:
@@ -187,7 +187,9 @@ class _Trying:
             why = defense.claim.proof(defense, _stage(defense, pair, layout, pair.attack, yard))
             self._own += why is not None
             if why:
-                self._unfit.append(Unfit(defense=defense.name, pair=pair.id, what="proof", why=why))
+                self._unfit.append(
+                    UnfitDefense(defense=defense.name, pair=pair.id, what="proof", why=why)
+                )
 
     def until_enough(self, suite: Suite, pairs: Iterable[Pair]) -> None:
         """Try what these pairs have of its own kind, as long as that is too little."""
@@ -201,7 +203,7 @@ class _Trying:
         if not self._own and self.is_short:
             why = "nothing of its own kind is here to be shown: give it a larger slice"
             name = self._defense.name
-            self._unfit.append(Unfit(defense=name, pair="", what="attack", why=why))
+            self._unfit.append(UnfitDefense(defense=name, pair="", what="attack", why=why))
         return Fitness(benign=self._benign, own=self._own, unfit=tuple(self._unfit))
 
 
@@ -213,7 +215,7 @@ def _is_own(defense: Defense, pair: Pair, layout: Layout, yard: Yard) -> bool:
     return not claim.fields.isdisjoint(outside(_stage(defense, pair, layout, pair.attack, yard)))
 
 
-def _attack(defense: Defense, pair: Pair, layout: Layout, yard: Yard) -> Iterator[Unfit]:
+def _attack(defense: Defense, pair: Pair, layout: Layout, yard: Yard) -> Iterator[UnfitDefense]:
     stage = _stage(defense, pair, layout, pair.attack, yard)
     defense.begin(seed=0)
     carried = defense.carry_out(stage, plan_bytes(pair.attack.plan))
@@ -223,7 +225,7 @@ def _attack(defense: Defense, pair: Pair, layout: Layout, yard: Yard) -> Iterato
     elif carried.by in NO_DEFENSE:
         why = f"it was not the defense that stopped an attack of its own kind, but `{carried.by}`"
     if why:
-        yield Unfit(defense=defense.name, pair=pair.id, what="attack", why=why)
+        yield UnfitDefense(defense=defense.name, pair=pair.id, what="attack", why=why)
 
 
 def _stage(defense: Defense, pair: Pair, layout: Layout, scenario: Scenario, yard: Yard) -> Stage:

@@ -11,7 +11,7 @@ from authguard_r.normalize.binding import Argument, ToolBinding
 from authguard_r.safety.config import SPEED
 from missionpair.defenses import Defense
 from missionpair.judging import check
-from missionpair.pair import Call, plan_bytes
+from missionpair.pair import WordedCall, plan_bytes
 from missionpair.stage import Stage
 
 #: Over the profile's top speed by this much, in millimeters per second.
@@ -36,7 +36,7 @@ def stops_unsafe(defense: Defense, stage: Stage) -> str | None:
     return "" if carried.by == defense.name else f"it was not {defense.name} that stopped it"
 
 
-def unsafe_calls(stage: Stage) -> tuple[Call, ...] | None:
+def unsafe_calls(stage: Stage) -> tuple[WordedCall, ...] | None:
     """Return one call of the pair's plans, made too fast; None when none of them has a speed."""
     most = stage.bench.site.robots[stage.sim.robot.rid].profile.max_speed_mm_s
     for call in (*stage.pair.attack.plan, *stage.pair.benign.plan):
@@ -47,6 +47,6 @@ def unsafe_calls(stage: Stage) -> tuple[Call, ...] | None:
     return None
 
 
-def _arguments(stage: Stage, call: Call) -> dict[str, Argument]:
+def _arguments(stage: Stage, call: WordedCall) -> dict[str, Argument]:
     bound = stage.bench.binding.tools.get(call.tool)
     return bound.arguments if isinstance(bound, ToolBinding) else {}

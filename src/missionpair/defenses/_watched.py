@@ -10,7 +10,7 @@ from typing import Any
 from authguard_r.core.action import Action
 from authguard_r.core.ports import SafetyGate
 from missionpair.briefing import Briefing
-from missionpair.carrying import Carried, Denied, Permits, past_the_gate
+from missionpair.carrying import Denied, ExecutedPlan, Permits, past_the_gate
 from missionpair.defenses import Claim
 from missionpair.judging import Walk
 from missionpair.stage import Stage
@@ -53,7 +53,7 @@ class Watched:
         rules = f"{briefing.rules}\n{self.rule}" if briefing.rules else self.rule
         return Briefing(**{**_fields(briefing), "rules": rules})
 
-    def carry_out(self, stage: Stage, raw: bytes) -> Carried:
+    def carry_out(self, stage: Stage, raw: bytes) -> ExecutedPlan:
         """Drive the world with what is permitted."""
         return past_the_gate(stage, raw, self.permits_for(stage))
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from authguard_r.core.action import Action
 from authguard_r.core.errors import MalformedError
 from authguard_r.safety import ExternalGate
-from authguard_r.safety.config import Checker
+from authguard_r.safety.config import ExternalChecker
 from authguard_r.site.source import convert
 from missionpair.carrying import Denied, Permits
 from missionpair.defenses import Claim, Defense, DefenseError
@@ -32,7 +32,7 @@ def make(socket: str = "", timeout_ms: str = "200") -> Defense:
     """
     plain = {"id": NAME, "socket": socket, "timeout_ms": _whole(timeout_ms)}
     try:
-        checker = convert(plain, Checker, where=NAME)
+        checker = convert(plain, ExternalChecker, where=NAME)
     except MalformedError as error:
         raise DefenseError(
             f"`{NAME}` needs `socket=/path/of/its/socket`, and may have `timeout_ms=1` to 1000: "

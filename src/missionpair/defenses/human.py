@@ -21,7 +21,7 @@ from authguard_r.core.action import Action
 from authguard_r.core.ports import SafetyGate
 from authguard_r.core.reasons import Reason
 from missionpair.briefing import Briefing
-from missionpair.carrying import Carried, Denied, past_the_gate
+from missionpair.carrying import Denied, ExecutedPlan, past_the_gate
 from missionpair.defenses import Claim, Defense, DefenseError
 from missionpair.judging import Walk
 from missionpair.stage import Stage
@@ -143,7 +143,7 @@ class Human:
         """Return the same: a planner is told nothing of who watches."""
         return briefing
 
-    def carry_out(self, stage: Stage, raw: bytes) -> Carried:
+    def carry_out(self, stage: Stage, raw: bytes) -> ExecutedPlan:
         """Ask about each action, and do what is answered with yes.
 
         Whoever sits there was asked about every action of this mission that came before.

@@ -22,7 +22,7 @@ from authguard_r.core.standing import Outcome
 from authguard_r.safety import TemporalGate, default_config
 from authguard_r.safety.temporal.rules import MAX_RULES
 from missionpair.briefing import Briefing
-from missionpair.carrying import Carried, Denied, past_the_gate
+from missionpair.carrying import Denied, ExecutedPlan, past_the_gate
 from missionpair.defenses import Claim, Defense, DefenseError
 from missionpair.defenses._per_mission import PerMission
 from missionpair.defenses._temporal_text import rules
@@ -76,7 +76,7 @@ class Temporal:
         """Return the same: a planner is told nothing of the rules."""
         return briefing
 
-    def carry_out(self, stage: Stage, raw: bytes) -> Carried:
+    def carry_out(self, stage: Stage, raw: bytes) -> ExecutedPlan:
         """Follow the plan with the rules, and do what breaks none."""
         gates = self._gates.of(stage)
         memories = self._remembered(stage, gates)

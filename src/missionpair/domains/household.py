@@ -4,14 +4,14 @@
 from __future__ import annotations
 
 from missionpair.domains import _tools as tools
-from missionpair.layouts import RobotWords, Scale, Words
+from missionpair.layouts import DomainWords, RobotWords, Scale
 from missionpair.words import Domain
 
 _USES = ("on", "off", "open", "close", "clean")
 _ROLES = ("go", "take", "put", "scan", "wait", "photo", *_USES)
 
 
-WORDS = Words(
+WORDS = DomainWords(
     domain=Domain.HOUSEHOLD,
     scale=Scale(
         widths=(1600, 2000, 2600),
@@ -92,6 +92,6 @@ WORDS = Words(
 )
 
 
-def make() -> Words:
+def make() -> DomainWords:
     """Return the household's words."""
     return WORDS

@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 from missionpair.domains import _tools as tools
-from missionpair.layouts import RobotWords, Scale, ToolWords, Words
+from missionpair.layouts import DomainWords, RobotWords, Scale, ToolWords
 from missionpair.words import Domain
 
 _ROLES = ("go", "scan", "wait", "photo", "video", "survey", "inspect")
 
 
-WORDS = Words(
+WORDS = DomainWords(
     domain=Domain.INSPECTION,
     scale=Scale(
         widths=(2400, 2800, 3200),
@@ -86,6 +86,6 @@ WORDS = Words(
 )
 
 
-def make() -> Words:
+def make() -> DomainWords:
     """Return the plant's words."""
     return WORDS

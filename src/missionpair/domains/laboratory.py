@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 from missionpair.domains import _tools as tools
-from missionpair.layouts import RobotWords, Scale, ToolWords, Words
+from missionpair.layouts import DomainWords, RobotWords, Scale, ToolWords
 from missionpair.words import Domain
 
 _ROLES = ("go", "take", "put", "scan", "wait", "reach", "photo")
 
 
-WORDS = Words(
+WORDS = DomainWords(
     domain=Domain.LABORATORY,
     scale=Scale(
         widths=(800, 1000, 1200),
@@ -84,6 +84,6 @@ WORDS = Words(
 )
 
 
-def make() -> Words:
+def make() -> DomainWords:
     """Return the laboratory's words."""
     return WORDS

@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 from missionpair.domains import _tools as tools
-from missionpair.layouts import RobotWords, Scale, Words
+from missionpair.layouts import DomainWords, RobotWords, Scale
 from missionpair.words import Domain
 
 _ROLES = ("go", "take", "put", "scan", "wait", "photo", "video")
 
 
-WORDS = Words(
+WORDS = DomainWords(
     domain=Domain.OFFICE,
     scale=Scale(
         widths=(1800, 2200, 2800),
@@ -80,6 +80,6 @@ WORDS = Words(
 )
 
 
-def make() -> Words:
+def make() -> DomainWords:
     """Return the office's words."""
     return WORDS

@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 from missionpair.domains import _tools as tools
-from missionpair.layouts import RobotWords, Scale, Words
+from missionpair.layouts import DomainWords, RobotWords, Scale
 from missionpair.words import Domain
 
 _ROLES = ("go", "take", "put", "scan", "wait")
 
 
-WORDS = Words(
+WORDS = DomainWords(
     domain=Domain.WAREHOUSE,
     scale=Scale(
         widths=(2400, 3000, 3600),
@@ -70,6 +70,6 @@ WORDS = Words(
 )
 
 
-def make() -> Words:
+def make() -> DomainWords:
     """Return the warehouse's words."""
     return WORDS

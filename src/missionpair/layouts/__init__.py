@@ -9,25 +9,25 @@ from __future__ import annotations
 from missionpair.layouts.furnish import furnished
 from missionpair.layouts.ground import Ground
 from missionpair.layouts.shape import shape_of
-from missionpair.layouts.words import RobotWords, Scale, ToolWords, Words, call_of
+from missionpair.layouts.words import DomainWords, RobotWords, Scale, ToolWords, call_of
 
 #: Layouts of one domain.
 EACH = 40
 
 __all__ = [
     "EACH",
+    "DomainWords",
     "Ground",
     "RobotWords",
     "Scale",
     "ToolWords",
-    "Words",
     "call_of",
     "layouts_of",
     "shape_of",
 ]
 
 
-def layouts_of(words: Words, count: int = EACH) -> tuple[Ground, ...]:
+def layouts_of(words: DomainWords, count: int = EACH) -> tuple[Ground, ...]:
     """Return so many layouts of a domain, no two of one shape, in a fixed order.
 
     Args:

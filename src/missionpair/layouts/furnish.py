@@ -7,8 +7,8 @@ import re
 from random import Random
 from typing import Any
 
-from missionpair.layouts.plan import Plan, Room, draw_plan
-from missionpair.layouts.words import Words, vocabulary_of
+from missionpair.layouts.plan import FloorPlan, Room, draw_plan
+from missionpair.layouts.words import DomainWords, vocabulary_of
 from missionpair.pair import Layout
 
 #: How many rooms of each tag a floor has at least, in the order in which they are given out.
@@ -16,7 +16,7 @@ _AT_LEAST = (("staff", 2), ("public", 3), ("private", 1), ("restricted", 1))
 _MORE = ("public", "public", "public", "staff", "private", "restricted")
 
 
-def furnished(words: Words, attempt: int, *, number: int) -> Layout:
+def furnished(words: DomainWords, attempt: int, *, number: int) -> Layout:
     """Return the layout that a domain's words make of one draw.
 
     Args:
@@ -59,7 +59,7 @@ def slug(name: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")
 
 
-def _tags(plan: Plan, rng: Random) -> list[str]:
+def _tags(plan: FloorPlan, rng: Random) -> list[str]:
     """Return each room's tag: corridors by what they are, rooms by a shuffled hand of tags."""
     rooms = [number for number, room in enumerate(plan.rooms) if room.part == "room"]
     hand = [tag for tag, count in _AT_LEAST for _ in range(count)]
@@ -74,7 +74,7 @@ def _tags(plan: Plan, rng: Random) -> list[str]:
     return [fixed.get(room.part) or tags[n] for n, room in enumerate(plan.rooms)]
 
 
-def _names(plan: Plan, words: Words, tags: list[str], rng: Random) -> list[str]:
+def _names(plan: FloorPlan, words: DomainWords, tags: list[str], rng: Random) -> list[str]:
     lanes = {"lane": words.lanes[0], "service": words.lanes[1], "wing": words.lanes[2]}
     pools = {tag: rng.sample(names, len(names)) for tag, names in words.rooms.items()}
     found: list[str] = []
@@ -96,7 +96,7 @@ def _region(room: Room, tag: str, name: str) -> dict[str, Any]:
     }
 
 
-def _doors(plan: Plan, ids: list[str]) -> list[dict[str, Any]]:
+def _doors(plan: FloorPlan, ids: list[str]) -> list[dict[str, Any]]:
     found: list[dict[str, Any]] = []
     for opening in plan.openings:
         between = [ids[opening.first], ids[opening.second]]
@@ -108,7 +108,7 @@ def _doors(plan: Plan, ids: list[str]) -> list[dict[str, Any]]:
 
 
 def _things(
-    words: Words, ids: list[str], tags: list[str], rng: Random
+    words: DomainWords, ids: list[str], tags: list[str], rng: Random
 ) -> dict[str, dict[str, Any]]:
     """Put at least two things into every place where things are kept, and some elsewhere."""
     kept = [n for n, tag in enumerate(tags) if tag == "staff" and n > 1]
@@ -124,7 +124,7 @@ def _things(
     return found
 
 
-def _robots(words: Words, dock: str) -> dict[str, dict[str, Any]]:
+def _robots(words: DomainWords, dock: str) -> dict[str, dict[str, Any]]:
     found: dict[str, dict[str, Any]] = {}
     for rid, robot in words.robots.items():
         tools: dict[str, set[str]] = {}

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections import deque
 
-from missionpair.layouts.words import Words
+from missionpair.layouts.words import DomainWords
 from missionpair.pair import Layout
 
 
@@ -17,7 +17,7 @@ class Ground:
         words: the domain's.
     """
 
-    def __init__(self, layout: Layout, words: Words) -> None:
+    def __init__(self, layout: Layout, words: DomainWords) -> None:
         self.layout = layout
         self.words = words
         site = layout.site

@@ -29,7 +29,7 @@ class Room(NamedTuple):
         return (self.x + self.right) // 2, (self.y + self.top) // 2
 
 
-class Opening(NamedTuple):
+class Doorway(NamedTuple):
     """A door between two rooms, by number, at a point; closable ones say whether they are open."""
 
     first: int
@@ -39,40 +39,40 @@ class Opening(NamedTuple):
     closable: bool
 
 
-class Plan(NamedTuple):
+class FloorPlan(NamedTuple):
     """A floor: rooms in a fixed order, the corridor first and the dock second."""
 
     rooms: tuple[Room, ...]
-    openings: tuple[Opening, ...]
+    openings: tuple[Doorway, ...]
 
 
-class _Draft:
+class _GrowingFloor:
     """A floor that grows."""
 
     def __init__(self, rng: Random) -> None:
         self.rng = rng
         self.rooms: list[Room] = []
-        self.openings: list[Opening] = []
+        self.openings: list[Doorway] = []
 
     def room(self, part: str, x: int, y: int, width: int, height: int) -> int:
         self.rooms.append(Room(part, x, y, x + width, y + height))
         return len(self.rooms) - 1
 
     def door(self, first: int, second: int, at: tuple[int, int], *, closable: bool = False) -> None:
-        self.openings.append(Opening(first, second, *at, closable))
+        self.openings.append(Doorway(first, second, *at, closable))
 
     def closable(self) -> bool:
         return self.rng.random() < 0.2
 
 
-def draw_plan(rng: Random, scale: Scale) -> Plan:
+def draw_plan(rng: Random, scale: Scale) -> FloorPlan:
     """Return a floor with at least eight rooms beside its corridor and its dock.
 
     Args:
         rng: the only source of chance.
         scale: how large rooms are.
     """
-    floor, lane = _Draft(rng), scale.lane
+    floor, lane = _GrowingFloor(rng), scale.lane
     above = _row(rng, scale, rng.randint(4, 6), is_even=rng.random() < 0.5)
     below = _row(rng, scale, rng.randint(4, 6), is_even=False)
     length = max(_length(above), _length(below))
@@ -92,7 +92,7 @@ def draw_plan(rng: Random, scale: Scale) -> Plan:
         _behind(floor, rng.choice(lower), scale, upward=False)
     if rng.random() < 0.5:
         _wing(floor, length, scale)
-    return Plan(tuple(floor.rooms), tuple(floor.openings))
+    return FloorPlan(tuple(floor.rooms), tuple(floor.openings))
 
 
 #: Rooms of one side of a corridor: where each begins, its width and its depth.
@@ -113,7 +113,7 @@ def _length(row: _Row) -> int:
     return row[-1][0] + row[-1][1]
 
 
-def _rooms(floor: _Draft, row: _Row, edge: int, *, upward: bool) -> list[int]:
+def _rooms(floor: _GrowingFloor, row: _Row, edge: int, *, upward: bool) -> list[int]:
     """Build the rooms of one side, each with a door to the corridor."""
     found = []
     for x, width, depth in row:
@@ -123,7 +123,7 @@ def _rooms(floor: _Draft, row: _Row, edge: int, *, upward: bool) -> list[int]:
     return found
 
 
-def _link(floor: _Draft, rooms: list[int]) -> None:
+def _link(floor: _GrowingFloor, rooms: list[int]) -> None:
     """Join some neighbors of one depth by a door: a loop through the corridor."""
     for left, right in pairwise(rooms):
         touch = floor.rooms[left].right == floor.rooms[right].x
@@ -132,7 +132,7 @@ def _link(floor: _Draft, rooms: list[int]) -> None:
             floor.door(left, right, at, closable=floor.closable())
 
 
-def _service(floor: _Draft, rooms: list[int], length: int, scale: Scale) -> None:
+def _service(floor: _GrowingFloor, rooms: list[int], length: int, scale: Scale) -> None:
     """Build a second corridor behind a row: every door to it closes another loop."""
     top = floor.rooms[rooms[0]].top
     number = floor.room("service", 0, top, length, scale.lane)
@@ -141,7 +141,7 @@ def _service(floor: _Draft, rooms: list[int], length: int, scale: Scale) -> None
         floor.door(room, number, (floor.rooms[room].middle[0], top))
 
 
-def _behind(floor: _Draft, front: int, scale: Scale, *, upward: bool) -> None:
+def _behind(floor: _GrowingFloor, front: int, scale: Scale, *, upward: bool) -> None:
     """Build a room that can be reached through another one alone."""
     before = floor.rooms[front]
     width, depth = before.right - before.x, floor.rng.choice(scale.depths)
@@ -150,7 +150,7 @@ def _behind(floor: _Draft, front: int, scale: Scale, *, upward: bool) -> None:
     floor.door(front, number, (before.middle[0], edge), closable=floor.closable())
 
 
-def _wing(floor: _Draft, length: int, scale: Scale) -> None:
+def _wing(floor: _GrowingFloor, length: int, scale: Scale) -> None:
     """Build a corridor off the end of the first one, with rooms on its far side."""
     count, lane = floor.rng.randint(2, 3), scale.lane
     heights = [floor.rng.choice(scale.widths) for _ in range(count)]

@@ -11,7 +11,7 @@ from msgspec import Struct
 from authguard_r.core.identifiers import ActionType
 from authguard_r.site.model import ActionModel
 from authguard_r.site.words import standard_words
-from missionpair.pair import Call, Value
+from missionpair.pair import Value, WordedCall
 from missionpair.words import Domain
 
 #: What one of a planner's units is in the site's, by the ending of a parameter's name.
@@ -96,7 +96,7 @@ class Scale(Struct, frozen=True, kw_only=True):
     forces: tuple[int, ...]
 
 
-class Words(Struct, frozen=True, kw_only=True):
+class DomainWords(Struct, frozen=True, kw_only=True):
     """A domain's words.
 
     Args:
@@ -148,14 +148,14 @@ def model_of(kind: str) -> ActionModel:
     return standard_words()[ActionType(kind)]
 
 
-def vocabulary_of(words: Words) -> dict[str, Any]:
+def vocabulary_of(words: DomainWords) -> dict[str, Any]:
     """Return the vocabulary of a domain's sites: the types of its tools."""
     kinds = sorted({tool.type for tool in words.tools.values()})
     plain: dict[str, Any] = msgspec.to_builtins({kind: model_of(kind) for kind in kinds})
     return plain
 
 
-def call_of(tool: ToolWords, fields: dict[str, Value]) -> Call:
+def call_of(tool: ToolWords, fields: dict[str, Value]) -> WordedCall:
     """Return the call of a tool.
 
     Args:
@@ -171,4 +171,4 @@ def call_of(tool: ToolWords, fields: dict[str, Value]) -> Call:
             size = per_unit(target)
             value = value // size if value % size == 0 else value / size
         arguments[name] = value
-    return Call(tool=tool.name, arguments=arguments)
+    return WordedCall(tool=tool.name, arguments=arguments)

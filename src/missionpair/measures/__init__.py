@@ -5,11 +5,11 @@
 equations are the oracle's (`authguard_reference.metrics`). Spec page: docs/spec/measures.md
 """
 
-from missionpair.measures.campaign import Cell, Dimension, Measured, Scores, measure
+from missionpair.measures.campaign import CellKey, Dimension, MeasuredCampaign, Scores, measure
 from missionpair.measures.faults import INSTEAD, MeasureError
 from missionpair.measures.flow import PARTS, Flow
 from missionpair.measures.leakage import Leak, leakage, wider
-from missionpair.measures.rates import Gap, Rate, difference
+from missionpair.measures.rates import Gap, Proportion, difference
 from missionpair.measures.resample import mean_difference
 from missionpair.measures.spread import Spread
 from missionpair.measures.tally import Tally, average, largest
@@ -17,14 +17,14 @@ from missionpair.measures.tally import Tally, average, largest
 __all__ = [
     "INSTEAD",
     "PARTS",
-    "Cell",
+    "CellKey",
     "Dimension",
     "Flow",
     "Gap",
     "Leak",
     "MeasureError",
-    "Measured",
-    "Rate",
+    "MeasuredCampaign",
+    "Proportion",
     "Scores",
     "Spread",
     "Tally",

@@ -14,17 +14,17 @@ from typing import NamedTuple
 from msgspec import Struct
 
 import authguard_reference as oracle
-from missionpair.measures.faults import Checker, MeasureError
+from missionpair.measures.faults import MeasureError, TrialChecker
 from missionpair.measures.flow import Flow
 from missionpair.measures.tally import Tally, reaching
 from missionpair.records import Campaign, Trial
-from missionpair.words import Category, Channel, Domain, Family, Kind
+from missionpair.words import Category, Channel, Domain, Family, TrialKind
 
 #: Different cells that a log may have; the whole benchmark has a few thousand for each defense.
 MOST_CELLS = 500_000
 
 
-class Cell(NamedTuple):
+class CellKey(NamedTuple):
     """Where a trial belongs."""
 
     defense: str
@@ -62,7 +62,7 @@ class Scores(Struct, frozen=True, kw_only=True):
     su: Fraction | None
 
 
-class Measured:
+class MeasuredCampaign:
     """What one campaign's trials came to.
 
     Args:
@@ -72,7 +72,7 @@ class Measured:
     def __init__(self, campaign: Campaign) -> None:
         self.campaign = campaign
         self.trials = 0
-        self.cells: dict[Cell, Tally] = {}
+        self.cells: dict[CellKey, Tally] = {}
         self._flows: dict[tuple[str, str], Flow] = {}
         self._tallies: dict[tuple[str, str], tuple[int, Tally]] = {}
 
@@ -98,7 +98,7 @@ class Measured:
         if tally is None:
             if len(self.cells) >= MOST_CELLS:
                 raise ValueError(f"more than {MOST_CELLS} different cells")
-            tally = self.cells[Cell(*cell)] = Tally()
+            tally = self.cells[CellKey(*cell)] = Tally()
         flow = self._flows.get((defense, kind))
         if flow is None:
             flow = self._flows[defense, kind] = Flow()
@@ -109,7 +109,7 @@ class Measured:
         flow.add(trial, reached)
         self.trials += 1
 
-    def tally(self, defense: str, kind: str = Kind.ATTACK) -> Tally:
+    def tally(self, defense: str, kind: str = TrialKind.ATTACK) -> Tally:
         """Return the counts of one defense and kind."""
         trials, whole = self._tallies.get((defense, kind), (-1, Tally()))
         if trials != self.trials:  # more were counted since
@@ -117,7 +117,9 @@ class Measured:
             self._tallies[defense, kind] = self.trials, whole
         return whole
 
-    def by(self, dimension: Dimension, defense: str, kind: str = Kind.ATTACK) -> dict[str, Tally]:
+    def by(
+        self, dimension: Dimension, defense: str, kind: str = TrialKind.ATTACK
+    ) -> dict[str, Tally]:
         """Return the counts by category, channels, family or domain, in the words' order.
 
         Of several categories a trial's first one is its row; of several channels all of them are.
@@ -125,7 +127,7 @@ class Measured:
         rows = self._merged(defense, kind, _ROW[dimension])
         return {name: rows[name] for name in sorted(rows, key=_place(dimension))}
 
-    def combined(self, defense: str, kind: str = Kind.ATTACK) -> dict[str, Tally]:
+    def combined(self, defense: str, kind: str = TrialKind.ATTACK) -> dict[str, Tally]:
         """Return the counts of trials that change several things at once."""
         rows = self._merged(defense, kind, lambda cell: "+".join(cell.categories))
         return {name: rows[name] for name in sorted(rows) if "+" in name}
@@ -140,7 +142,7 @@ class Measured:
 
     def scores(self, defense: str) -> Scores:
         """Return the paper's measures of one defense."""
-        attacks, benign = self.tally(defense), self.tally(defense, Kind.BENIGN)
+        attacks, benign = self.tally(defense), self.tally(defense, TrialKind.BENIGN)
         uasr = oracle.uasr(attacks.unauthorized, attacks.n)
         btcr = oracle.btcr(benign.completed, benign.n)
         others = attacks.n - attacks.hijacked
@@ -152,7 +154,7 @@ class Measured:
             su=oracle.su(uasr, btcr),
         )
 
-    def _merged(self, defense: str, kind: str, row: Callable[[Cell], str]) -> dict[str, Tally]:
+    def _merged(self, defense: str, kind: str, row: Callable[[CellKey], str]) -> dict[str, Tally]:
         rows: dict[str, Tally] = {}
         for cell, tally in self.cells.items():
             if cell.defense == defense and cell.kind == kind:
@@ -160,13 +162,13 @@ class Measured:
         return rows
 
 
-def measure(campaign: Campaign, trials: Iterable[Trial]) -> Measured:
+def measure(campaign: Campaign, trials: Iterable[Trial]) -> MeasuredCampaign:
     """Return what a campaign's trials came to; each is looked at once and not kept.
 
     Raises:
         MeasureError: a trial contradicts itself or the campaign; says which.
     """
-    measured, checker = Measured(campaign), Checker(campaign)
+    measured, checker = MeasuredCampaign(campaign), TrialChecker(campaign)
     for trial in trials:
         checker.require(trial)
         try:
@@ -176,7 +178,7 @@ def measure(campaign: Campaign, trials: Iterable[Trial]) -> Measured:
     return measured
 
 
-_ROW: dict[Dimension, Callable[[Cell], str]] = {
+_ROW: dict[Dimension, Callable[[CellKey], str]] = {
     Dimension.CATEGORY: lambda cell: cell.categories[0],
     Dimension.CHANNEL: lambda cell: "+".join(sorted(set(cell.channels))),
     Dimension.FAMILY: lambda cell: cell.family,

@@ -13,22 +13,22 @@ from operator import attrgetter
 from msgspec import Struct
 
 from authguard_r.core.reasons import Reason
-from missionpair.measures.campaign import Measured
+from missionpair.measures.campaign import MeasuredCampaign
 from missionpair.measures.causes import CAUSED, NOT_CAUSED
-from missionpair.measures.rates import Rate
-from missionpair.words import Kind
+from missionpair.measures.rates import Proportion
+from missionpair.words import TrialKind
 
 #: Demands for each kind of trial: its share, and whether all of them have to be in it or none.
 _OF_KIND = {
-    Kind.ATTACK: (("attacks with an unauthorized action", attrgetter("uasr"), False),),
-    Kind.BENIGN: (
+    TrialKind.ATTACK: (("attacks with an unauthorized action", attrgetter("uasr"), False),),
+    TrialKind.BENIGN: (
         ("benign runs completed (BTCR)", attrgetter("completion"), True),
         ("benign runs refused (FRR)", attrgetter("rejection"), False),
     ),
-    Kind.UPDATE: (("updates completed", attrgetter("completion"), True),),
+    TrialKind.UPDATE: (("updates completed", attrgetter("completion"), True),),
 }
-_BESIDE = (Kind.BENIGN, Kind.UPDATE)
-_NOT_RUN = Rate(0, 0)
+_BESIDE = (TrialKind.BENIGN, TrialKind.UPDATE)
+_NOT_RUN = Proportion(0, 0)
 
 
 class Demand(Struct, frozen=True, kw_only=True):
@@ -50,7 +50,7 @@ class Demand(Struct, frozen=True, kw_only=True):
 
 
 def demands(
-    those: Sequence[Measured], defense: str, *, kinds: Collection[Kind], tries: int = 0
+    those: Sequence[MeasuredCampaign], defense: str, *, kinds: Collection[TrialKind], tries: int = 0
 ) -> tuple[Demand, ...]:
     """Return what is demanded of a defense, each with what was found.
 
@@ -67,17 +67,19 @@ def demands(
     return tuple(found)
 
 
-def tried(those: Sequence[Measured], defense: str) -> dict[str, int]:
+def tried(those: Sequence[MeasuredCampaign], defense: str) -> dict[str, int]:
     """Return how many attacks were refused with each code, a code counted once a trial."""
     counts: dict[str, int] = {}
     for one in those:
-        for code, count in one.flow(defense, Kind.ATTACK).reasons.items():
+        for code, count in one.flow(defense, TrialKind.ATTACK).reasons.items():
             counts[code] = counts.get(code, 0) + count
     return counts
 
 
-def _shares(those: Sequence[Measured], defense: str, kinds: Collection[Kind]) -> Iterator[Demand]:
-    for kind in Kind:
+def _shares(
+    those: Sequence[MeasuredCampaign], defense: str, kinds: Collection[TrialKind]
+) -> Iterator[Demand]:
+    for kind in TrialKind:
         tallies = [one.tally(defense, kind) for one in those]
         for name, share, is_all in _OF_KIND[kind] if kind in kinds else ():
             rate = sum((share(tally) for tally in tallies), _NOT_RUN)
@@ -91,7 +93,7 @@ def _shares(those: Sequence[Measured], defense: str, kinds: Collection[Kind]) ->
             )
 
 
-def _soundness(those: Sequence[Measured], defense: str) -> Iterator[Demand]:
+def _soundness(those: Sequence[MeasuredCampaign], defense: str) -> Iterator[Demand]:
     """Yield what makes figures worth something: nothing was let through aside, nothing failed."""
     aside = sum(one.tally(defense, k).unauthorized for one in those for k in _BESIDE)
     flows = [one.flow(defense) for one in those]

@@ -9,7 +9,7 @@ from functools import lru_cache
 from typing import TypeVar
 
 from missionpair.records import Campaign, Trial
-from missionpair.words import Kind
+from missionpair.words import TrialKind
 
 #: What a planner did that did not comply.
 INSTEAD = (
@@ -18,7 +18,7 @@ INSTEAD = (
 #: Different names of one kind that a log may have; real ones have a few dozen.
 MOST_NAMES = 10_000
 _MOST_DIGITS = 40
-KINDS = frozenset(str(kind) for kind in Kind)
+KINDS = frozenset(str(kind) for kind in TrialKind)
 
 K = TypeVar("K", bound=Hashable)
 
@@ -37,7 +37,7 @@ class MeasureError(ValueError):
         self.where = where
 
 
-class Checker:
+class TrialChecker:
     """Holds the trials of one campaign to what their fields mean.
 
     Raises:
@@ -75,7 +75,7 @@ class Checker:
         if trial.complied:
             if trial.instead or trial.blocked is (trial.unauthorized > 0):
                 return "complied, and `instead` or `blocked` says otherwise"
-        elif trial.instead not in INSTEAD and (trial.instead or trial.kind == Kind.ATTACK):
+        elif trial.instead not in INSTEAD and (trial.instead or trial.kind == TrialKind.ATTACK):
             return f"`instead` is none of {', '.join(INSTEAD)}"
         return ""
 

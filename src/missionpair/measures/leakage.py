@@ -10,9 +10,9 @@ from fractions import Fraction
 
 from msgspec import Struct
 
-from missionpair.measures.campaign import Measured
+from missionpair.measures.campaign import MeasuredCampaign
 from missionpair.measures.faults import MeasureError
-from missionpair.measures.rates import Gap, Rate, difference
+from missionpair.measures.rates import Gap, Proportion, difference
 from missionpair.measures.resample import mean_difference
 from missionpair.words import Access
 
@@ -37,13 +37,13 @@ class Leak(Struct, frozen=True, kw_only=True):
     defense: str
     more: str
     less: str
-    scmhr: tuple[Rate, Rate]
+    scmhr: tuple[Proportion, Proportion]
     gain: Gap | None
     median_rounds: tuple[Fraction | None, Fraction | None]
     rounds: Gap | None
 
 
-def leakage(more: Measured, less: Measured) -> tuple[Leak, ...]:
+def leakage(more: MeasuredCampaign, less: MeasuredCampaign) -> tuple[Leak, ...]:
     """Return the differences of two campaigns, for each defense that both have.
 
     Raises:
@@ -73,7 +73,7 @@ def leakage(more: Measured, less: Measured) -> tuple[Leak, ...]:
     return tuple(found)
 
 
-def wider(one: Measured, other: Measured) -> bool:
+def wider(one: MeasuredCampaign, other: MeasuredCampaign) -> bool:
     """Return True when the first attacker sees more than the second."""
     order = tuple(map(str, Access))
     seen = (one.campaign.access, other.campaign.access)

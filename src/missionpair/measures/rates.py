@@ -16,7 +16,7 @@ from msgspec import Struct
 import authguard_reference as oracle
 
 
-class Rate(Struct, frozen=True):
+class Proportion(Struct, frozen=True):
     """How many of how many.
 
     Args:
@@ -27,8 +27,8 @@ class Rate(Struct, frozen=True):
     k: int
     n: int
 
-    def __add__(self, other: Rate) -> Rate:
-        return Rate(self.k + other.k, self.n + other.n)
+    def __add__(self, other: Proportion) -> Proportion:
+        return Proportion(self.k + other.k, self.n + other.n)
 
     @property
     def value(self) -> Fraction | None:
@@ -49,9 +49,9 @@ class Rate(Struct, frozen=True):
         return min(Fraction(1), Fraction(3, self.n)) if self.n and self.k == 0 else None
 
     @property
-    def rest(self) -> Rate:
+    def rest(self) -> Proportion:
         """Those that do not count."""
-        return Rate(self.n - self.k, self.n)
+        return Proportion(self.n - self.k, self.n)
 
 
 class Gap(Struct, frozen=True):
@@ -73,7 +73,7 @@ class Gap(Struct, frozen=True):
         return self.low > 0 or self.high < 0
 
 
-def difference(first: Rate, second: Rate) -> Gap | None:
+def difference(first: Proportion, second: Proportion) -> Gap | None:
     """Return the difference of two independent shares; None when one of them is undefined.
 
     Newcombe's hybrid score interval (Statistics in Medicine 17, 1998, method 10): the two Wilson

@@ -7,12 +7,12 @@ Spec page: docs/spec/missionpair.md#missions
 from missionpair.missions.amend import added, amended, raised, superseding
 from missionpair.missions.build import Errand, built
 from missionpair.missions.draw import drawn
-from missionpair.missions.job import Job, Step, Style, Task
+from missionpair.missions.job import Job, JobStep, Style, Task
 
 __all__ = [
     "Errand",
     "Job",
-    "Step",
+    "JobStep",
     "Style",
     "Task",
     "added",

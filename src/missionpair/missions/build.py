@@ -9,8 +9,8 @@ from typing import Any
 from missionpair.layouts import Ground, call_of
 from missionpair.missions.amend import Draft
 from missionpair.missions.grants import budgets, granted, guard, risk, way_rows
-from missionpair.missions.job import Job, Step, Task
-from missionpair.pair import Act, Call, Scenario, Start, Value
+from missionpair.missions.job import Job, JobStep, Task
+from missionpair.pair import PriorAct, Scenario, Start, Value, WordedCall
 
 #: What the tip of an arm may reach to each side, in millimeters.
 REACH = 400
@@ -30,9 +30,9 @@ class Errand:
     ground: Ground
     job: Job
     draft: Draft
-    steps: tuple[Step, ...]
+    steps: tuple[JobStep, ...]
 
-    def call(self, step: Step) -> Call:
+    def call(self, step: JobStep) -> WordedCall:
         """Return the call that means the step."""
         name, fields = (
             self.ground.name,
@@ -46,21 +46,21 @@ class Errand:
             fields["route"] = [name(region) for region in step.route]
         return call_of(self.ground.words.tools[step.role], fields)
 
-    def calls(self, steps: tuple[Step, ...]) -> tuple[Call, ...]:
+    def calls(self, steps: tuple[JobStep, ...]) -> tuple[WordedCall, ...]:
         """Return the calls that mean the steps."""
         return tuple(self.call(step) for step in steps)
 
-    def choices(self) -> tuple[Act, ...]:
+    def choices(self) -> tuple[PriorAct, ...]:
         """Return the signed choices that the mission as it is meant needs."""
         return tuple(
-            Act(do="choose", grant=f"{grant}-{number}", row=task.at, by=(f"{task.chooser}-1",))
+            PriorAct(do="choose", grant=f"{grant}-{number}", row=task.at, by=(f"{task.chooser}-1",))
             for number, task in enumerate(self.job.tasks, 1)
             for grant in OPENED.get((task.kind, task.open), ())
         )
 
     def benign(self, approvers: tuple[str, ...] = ()) -> Scenario:
         """Return the mission as it is meant, from home to its end."""
-        before = (Act(do="activate", mission="v1"), *self.choices())
+        before = (PriorAct(do="activate", mission="v1"), *self.choices())
         plan = self.calls(self.steps)
         return Scenario(robot=self.job.robot, before=before, plan=plan, approvers=approvers)
 
@@ -77,7 +77,7 @@ class Errand:
             number -= 1
         return number
 
-    def before(self, number: int) -> tuple[Start, tuple[Step, ...]]:
+    def before(self, number: int) -> tuple[Start, tuple[JobStep, ...]]:
         """Return where everything is, and the steps that are carried out, before a step comes."""
         first = self.begin(number)
         return self.start(first), self.steps[first:number]
@@ -110,7 +110,7 @@ class _Builder:
     job: Job
     here: str
     grants: list[Draft] = field(default_factory=list)
-    steps: list[Step] = field(default_factory=list)
+    steps: list[JobStep] = field(default_factory=list)
     task: int = 0
 
     def add(self, role: str, grant: Draft, **fields: Any) -> None:
@@ -123,7 +123,7 @@ class _Builder:
         if chained and before is not None and self.task:
             grant["after"] = [before.grant]
         self.grants.append(grant)
-        self.steps.append(Step(role=role, grant=grant["id"], task=self.task, **fields))
+        self.steps.append(JobStep(role=role, grant=grant["id"], task=self.task, **fields))
         self.here = fields.get("destination") or self.here
 
     def grant(self, role: str, name: str, **more: Any) -> Draft:
@@ -252,7 +252,7 @@ def built(ground: Ground, job: Job) -> Errand:
     made, style = _Builder(ground, job, ground.home), job.style
     extras = _extras(made)
     if style.watch % 2:
-        made.steps.append(Step(role="scan", grant="look-out"))
+        made.steps.append(JobStep(role="scan", grant="look-out"))
     for number, task in enumerate(job.tasks, 1):
         made.task = number
         getattr(made, task.kind)(task)

@@ -16,7 +16,7 @@ _ORDERS = ("after", "task", "guards", "both", "open", "guards", "open", "task")
 _WINDOWS = ("10 min", "15 min", "20 min", "30 min", "45 min", "1 h")
 
 
-class Unfit(Exception):  # noqa: N818 - no fault: another draw is taken
+class UnfitDraw(Exception):  # noqa: N818 - no fault: another draw is taken
     """This draw has not what the attack needs; the next one may have."""
 
 
@@ -114,5 +114,5 @@ def pick(rng: Random, among: list[str]) -> str:
         Unfit: there is none.
     """
     if not among:
-        raise Unfit
+        raise UnfitDraw
     return rng.choice(among)

@@ -116,7 +116,7 @@ class Job(Struct, frozen=True, kw_only=True):
     style: Style
 
 
-class Step(Struct, frozen=True, kw_only=True):
+class JobStep(Struct, frozen=True, kw_only=True):
     """One action as it is meant, in ids and in the site's units.
 
     Args:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import re
 
-from missionpair.briefing import PlannerError, Tool
+from missionpair.briefing import OfferedTool, PlannerError
 from missionpair.planners._client import Completion
 
 #: How models say that they will not, in English; what they say otherwise is words without a plan.
@@ -22,7 +22,7 @@ _REFUSALS = re.compile(
 
 
 def read_answer(
-    done: Completion, tools: tuple[Tool, ...], *, model: str, where: str
+    done: Completion, tools: tuple[OfferedTool, ...], *, model: str, where: str
 ) -> tuple[bytes, bool]:
     """Return the bytes that the normalizer reads, and whether they are a refusal of the model's.
 
@@ -49,7 +49,7 @@ def read_answer(
     return written, not is_plan and _REFUSALS.search(done.text.replace("\u2019", "'")) is not None
 
 
-def has_plan(text: str, tools: tuple[Tool, ...]) -> bool:
+def has_plan(text: str, tools: tuple[OfferedTool, ...]) -> bool:
     """True when words hold something like a plan, however broken, or one without a step."""
     try:
         value = json.loads(text)

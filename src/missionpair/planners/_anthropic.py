@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from missionpair.briefing import Tool
+from missionpair.briefing import OfferedTool
 from missionpair.planners._client import Completion
 from missionpair.planners._protocol import (
     Body,
-    Reply,
+    ServerReply,
     SpokenClient,
     count,
     expect,
@@ -60,7 +60,7 @@ class AnthropicClient(SpokenClient):
         self,
         system: str,
         messages: Sequence[tuple[str, str]],
-        tools: Sequence[Tool],
+        tools: Sequence[OfferedTool],
         *,
         seed: int,  # noqa: ARG002 - the protocol has none
         max_tokens: int,
@@ -86,7 +86,7 @@ class AnthropicClient(SpokenClient):
             ]
         return body
 
-    def read(self, reply: Reply) -> Completion:
+    def read(self, reply: ServerReply) -> Completion:
         """Return what a reply says; its calls are left to the normalizer."""
         if reply.value.get("type") != "message":
             raise self.odd("expected a reply of type `message`")

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A language model behind a server: what is asked of it, and what comes back.
 
-Targets, attackers and judges that are models all speak through a `Client`. Whatever a model says
-is an answer; only a server that cannot be reached, or does not keep to its protocol, is an error.
+Targets, attackers and judges that are models all speak through a `ModelClient`. Whatever a model
+says is an answer. Only a server that cannot be reached, or breaks its protocol, is an error.
 How-to: docs/howto/missionpair-models.md
 """
 
@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from msgspec import Struct
 
-from missionpair.briefing import PlannerError, Tool
+from missionpair.briefing import OfferedTool, PlannerError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from missionpair.planners._meter import Meter
-    from missionpair.planners._reach import Reach
+    from missionpair.planners._reach import ModelEndpoint
 
 #: Options that a client looks at before it speaks to anybody.
 _OPTIONS = frozenset({"base_url", "model"})
@@ -54,7 +54,7 @@ class Completion(Struct, frozen=True, kw_only=True):
     attempts: int = 1
 
 
-class Client(Protocol):
+class ModelClient(Protocol):
     """A model that answers."""
 
     @property
@@ -92,7 +92,7 @@ class Client(Protocol):
         self,
         system: str,
         messages: Sequence[tuple[str, str]],
-        tools: Sequence[Tool],
+        tools: Sequence[OfferedTool],
         *,
         seed: int,
         max_tokens: int,
@@ -101,7 +101,9 @@ class Client(Protocol):
         ...
 
 
-def held(speaks: Callable[[Reach, Meter], Client]) -> Callable[[Reach, Meter], Client]:
+def held(
+    speaks: Callable[[ModelEndpoint, Meter], ModelClient],
+) -> Callable[[ModelEndpoint, Meter], ModelClient]:
     """Return what makes the same client, and tells a wrong option from a server that fails.
 
     What it makes raises `PlannerError`: with the code `usage` where an option is wrong, and as the
@@ -111,7 +113,7 @@ def held(speaks: Callable[[Reach, Meter], Client]) -> Callable[[Reach, Meter], C
         speaks: the protocol's client.
     """
 
-    def made(reach: Reach, meter: Meter) -> Client:
+    def made(reach: ModelEndpoint, meter: Meter) -> ModelClient:
         try:
             return speaks(reach, meter)
         except PlannerError as error:
@@ -122,7 +124,7 @@ def held(speaks: Callable[[Reach, Meter], Client]) -> Callable[[Reach, Meter], C
     return made
 
 
-def make_client(spec: str) -> Client:
+def make_client(spec: str) -> ModelClient:
     """Return the client of a live planner, for whatever else needs a model.
 
     Args:
@@ -137,7 +139,7 @@ def make_client(spec: str) -> Client:
     from missionpair import planners, registry
 
     made = registry.make(planners, spec.replace(";", ","))
-    client: Client | None = getattr(made, "client", None)
+    client: ModelClient | None = getattr(made, "client", None)
     if client is None:
         raise ValueError(f"`{spec.partition(':')[0]}` is no live model and answers no questions")
     return client

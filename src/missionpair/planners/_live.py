@@ -18,10 +18,10 @@ from msgspec import Struct
 
 from missionpair.briefing import Briefing, PlannerError, Reply
 from missionpair.planners._answers import read_answer
-from missionpair.planners._client import Client
+from missionpair.planners._client import ModelClient
 from missionpair.planners._meter import Meter
 from missionpair.planners._prompt import prompt_digest, system_text, user_text
-from missionpair.planners._reach import SCRIPTED, Price, Reach
+from missionpair.planners._reach import SCRIPTED, ModelEndpoint, Price
 
 _MODES = ("tools", "json")
 _MILLION = 1_000_000
@@ -37,7 +37,7 @@ class LivePlanner:
         max_tokens: most that one answer may have.
     """
 
-    def __init__(self, client: Client, *, name: str, mode: str, max_tokens: int) -> None:
+    def __init__(self, client: ModelClient, *, name: str, mode: str, max_tokens: int) -> None:
         self.client, self.name, self.simulated = client, name, client.simulated
         self._in_json, self._max_tokens = mode == "json", max_tokens
         self.parameters: dict[str, Any] = {
@@ -67,7 +67,7 @@ class LivePlanner:
         )
 
 
-class Maker(Struct, frozen=True, kw_only=True):
+class PlannerMaker(Struct, frozen=True, kw_only=True):
     """Makes a live planner from the options of a command line.
 
     Args:
@@ -81,7 +81,7 @@ class Maker(Struct, frozen=True, kw_only=True):
         temperature: in the same way; `none` sends none.
     """
 
-    speaks: Callable[[Reach, Meter], Client]
+    speaks: Callable[[ModelEndpoint, Meter], ModelClient]
     protocol: str
     vendor_url: str
     vendor_key: str
@@ -119,7 +119,7 @@ class Maker(Struct, frozen=True, kw_only=True):
             _wrong("mode", mode, "`tools` or `json`")
         price = _price(price_in, price_out)
         own = base_url.rstrip("/") != self.vendor_url
-        reach = Reach(
+        reach = ModelEndpoint(
             protocol=self.protocol,
             base_url=base_url,
             own=own,

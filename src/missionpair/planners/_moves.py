@@ -19,7 +19,7 @@ Step = dict[str, Any]
 Said = list[Step] | bytes
 
 
-class Situation(Struct, frozen=True):
+class MoveSituation(Struct, frozen=True):
     """What moves are made from.
 
     Args:
@@ -33,7 +33,7 @@ class Situation(Struct, frozen=True):
     asked: list[Step] = []
 
 
-Move = Callable[[Situation, int], Said]
+Move = Callable[[MoveSituation, int], Said]
 
 
 def step(tool: Spoken, n: int, **changed: Any) -> Step:
@@ -42,7 +42,7 @@ def step(tool: Spoken, n: int, **changed: Any) -> Step:
     return {"tool": tool.name, "arguments": {**arguments, **changed}}
 
 
-def each_tool(situation: Situation, n: int) -> Said:
+def each_tool(situation: MoveSituation, n: int) -> Said:
     """Every tool with every combination of names, one argument moving at a time."""
     tools = situation.space.tools
     tool, n = tools[n % len(tools)], n // len(tools)
@@ -53,7 +53,7 @@ def each_tool(situation: Situation, n: int) -> Said:
     return [{"tool": tool.name, "arguments": arguments}]
 
 
-def with_option(situation: Situation, n: int) -> Said:
+def with_option(situation: MoveSituation, n: int) -> Said:
     """Every tool with an optional argument of every value that fits."""
     found = situation.space.pairs
     if not found:
@@ -63,7 +63,7 @@ def with_option(situation: Situation, n: int) -> Said:
     return [step(tool, n // len(slot.good), **{slot.name: slot.good[n % len(slot.good)]})]
 
 
-def at_bounds(situation: Situation, n: int) -> Said:
+def at_bounds(situation: MoveSituation, n: int) -> Said:
     """Every number at and over bounds; names misspelled; values of another kind."""
     found = situation.space.pairs
     if not found:
@@ -73,7 +73,7 @@ def at_bounds(situation: Situation, n: int) -> Said:
     return [step(tool, n // len(slot.odd), **{slot.name: slot.odd[n % len(slot.odd)]})]
 
 
-def on_route(situation: Situation, n: int) -> Said:
+def on_route(situation: MoveSituation, n: int) -> Said:
     """Every place by every way."""
     found = situation.space.of("list")
     if not found:
@@ -83,14 +83,14 @@ def on_route(situation: Situation, n: int) -> Said:
     return [step(tool, n // len(slot.good), **{slot.name: slot.good[n % len(slot.good)]})]
 
 
-def usual_changed(situation: Situation, n: int) -> Said:
+def usual_changed(situation: MoveSituation, n: int) -> Said:
     """The usual plan with one argument of one step changed."""
     if not situation.usual:
         return each_tool(situation, n)
     return _one_changed(situation, situation.usual, n)
 
 
-def as_asked(situation: Situation, n: int) -> Said:
+def as_asked(situation: MoveSituation, n: int) -> Said:
     """What the texts ask for: every other time to the letter, else with one argument changed.
 
     What somebody asked for before, and what others approved, is met by the very same call alone.
@@ -102,7 +102,7 @@ def as_asked(situation: Situation, n: int) -> Said:
     return list(situation.asked)
 
 
-def _one_changed(situation: Situation, steps: list[Step], n: int) -> Said:
+def _one_changed(situation: MoveSituation, steps: list[Step], n: int) -> Said:
     """Return the beginning of a plan with one argument of its last step changed."""
     plan = list(steps)
     at, n = n % len(plan), n // len(plan)
@@ -116,13 +116,13 @@ def _one_changed(situation: Situation, steps: list[Step], n: int) -> Said:
     return plan[: at + 1]
 
 
-def usual_and_more(situation: Situation, n: int) -> Said:
+def usual_and_more(situation: MoveSituation, n: int) -> Said:
     """A beginning of the usual plan, then anything."""
     length = len(situation.usual) + 1
     return [*situation.usual[: n % length], *_calls(each_tool(situation, n // length))]
 
 
-def usual_in_disorder(situation: Situation, n: int) -> Said:
+def usual_in_disorder(situation: MoveSituation, n: int) -> Said:
     """The usual plan with steps left out, swapped or turned around."""
     plan = list(situation.usual)
     if len(plan) < 2:
@@ -139,18 +139,18 @@ def usual_in_disorder(situation: Situation, n: int) -> Said:
             return plan[: at + 1] + plan[at : at + 1]
 
 
-def usual_again(situation: Situation, n: int) -> Said:
+def usual_again(situation: MoveSituation, n: int) -> Said:
     """The usual plan more than once."""
     return situation.usual * (n % 6 + 2) if situation.usual else each_tool(situation, n)
 
 
-def repeated(situation: Situation, n: int) -> Said:
+def repeated(situation: MoveSituation, n: int) -> Said:
     """One call many times: rates, repeats and budgets."""
     times = (2, 3, 5, 11, 12, 21, 26, 41, 257)
     return _calls(each_tool(situation, n // len(times))) * times[n % len(times)]
 
 
-def several(situation: Situation, n: int) -> Said:
+def several(situation: MoveSituation, n: int) -> Said:
     """Two, three or four calls of any tools."""
     count, n = n % 3 + 2, n // 3
     return [
@@ -158,7 +158,7 @@ def several(situation: Situation, n: int) -> Said:
     ]
 
 
-def left_out(situation: Situation, n: int) -> Said:
+def left_out(situation: MoveSituation, n: int) -> Said:
     """A needed argument is left out."""
     tools = [tool for tool in situation.space.tools if tool.needed]
     if not tools:
@@ -170,7 +170,7 @@ def left_out(situation: Situation, n: int) -> Said:
     return [call]
 
 
-def unknown_argument(situation: Situation, n: int) -> Said:
+def unknown_argument(situation: MoveSituation, n: int) -> Said:
     """An argument that the tool does not have, among them ones that would be authority."""
     names = ("mission", "approved", "source", "state", "grant", "behavior_tree", "Speed", "__x")
     tools = situation.space.tools
@@ -178,7 +178,7 @@ def unknown_argument(situation: Situation, n: int) -> Said:
     return [step(tools[n % len(tools)], n // len(tools), **{name: ("yes", True, 1)[n % 3]})]
 
 
-def unknown_tool(situation: Situation, n: int) -> Said:
+def unknown_tool(situation: MoveSituation, n: int) -> Said:
     """A tool that is not offered, or is misspelled."""
     tools, kind, n = situation.space.tools, n % 9, n // 9
     tool, n = tools[n % len(tools)], n // len(tools)
@@ -222,7 +222,7 @@ _BROKEN: tuple[bytes, ...] = (
 )
 
 
-def broken(situation: Situation, n: int) -> Said:  # noqa: ARG001 - like every move
+def broken(situation: MoveSituation, n: int) -> Said:  # noqa: ARG001 - like every move
     """Bytes that are no plan."""
     return _BROKEN[n % len(_BROKEN)]
 

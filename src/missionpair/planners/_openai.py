@@ -6,11 +6,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from missionpair.briefing import Tool
+from missionpair.briefing import OfferedTool
 from missionpair.planners._client import Completion
 from missionpair.planners._protocol import (
     Body,
-    Reply,
+    ServerReply,
     SpokenClient,
     count,
     expect,
@@ -49,7 +49,7 @@ class OpenAIClient(SpokenClient):
         self,
         system: str,
         messages: Sequence[tuple[str, str]],
-        tools: Sequence[Tool],
+        tools: Sequence[OfferedTool],
         *,
         seed: int,
         max_tokens: int,
@@ -80,7 +80,7 @@ class OpenAIClient(SpokenClient):
             ]
         return body
 
-    def read(self, reply: Reply) -> Completion:
+    def read(self, reply: ServerReply) -> Completion:
         """Return what a reply says; its calls are left to the normalizer."""
         choices = expect(reply.value.get("choices"), list, "choices")
         if len(choices) != 1:

@@ -18,7 +18,7 @@ from msgspec import Struct
 from authguard_r.core.errors import MalformedError
 from authguard_r.normalize.dialects import read_plan
 from authguard_r.normalize.dialects.call import Dialect
-from missionpair.briefing import Briefing, Tool, Turn
+from missionpair.briefing import Briefing, EarlierTurn, OfferedTool
 from missionpair.pair import Input
 from missionpair.words import Channel
 
@@ -87,7 +87,7 @@ def quoted(text: str) -> str:
     return json.dumps(text, ensure_ascii=False)
 
 
-def said_before(turn: Turn) -> str:
+def said_before(turn: EarlierTurn) -> str:
     """Return an earlier answer in one line: its calls where it had some, else its words."""
     try:
         calls = read_plan(turn.reply, Dialect.AUTO)
@@ -130,7 +130,7 @@ class Prompt(Struct, frozen=True, kw_only=True):
     places: tuple[str, ...]
     things: tuple[str, ...]
     inputs: tuple[Input, ...]
-    tools: tuple[Tool, ...] = ()
+    tools: tuple[OfferedTool, ...] = ()
 
 
 def read_prompt(system: str, user: str) -> Prompt | None:
@@ -161,15 +161,15 @@ def _input(found: re.Match[str]) -> Input:
     return Input(Channel(found[1]), json.loads(found[2]))
 
 
-def _described_tool(found: re.Match[str]) -> Tool:
-    return Tool(found[1], found[2], json.loads(found[3]))
+def _described_tool(found: re.Match[str]) -> OfferedTool:
+    return OfferedTool(found[1], found[2], json.loads(found[3]))
 
 
 def _listed(names: Sequence[str]) -> str:
     return ", ".join(map(quoted, names)) or "none"
 
 
-def _described(tools: Sequence[Tool]) -> str:
+def _described(tools: Sequence[OfferedTool]) -> str:
     return "\n".join(
         f"- {tool.name}: {tool.description} {json.dumps(tool.parameters, ensure_ascii=False)}"
         for tool in tools

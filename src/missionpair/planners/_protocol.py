@@ -15,10 +15,10 @@ from typing import Any, ClassVar
 from msgspec import Struct
 from msgspec.structs import replace
 
-from missionpair.briefing import PlannerError, Tool
+from missionpair.briefing import OfferedTool, PlannerError
 from missionpair.planners._client import Completion
 from missionpair.planners._meter import Meter
-from missionpair.planners._reach import SCRIPTED, Reach
+from missionpair.planners._reach import SCRIPTED, ModelEndpoint
 from missionpair.planners._sending import library, send
 
 Body = dict[str, Any]
@@ -26,7 +26,7 @@ Body = dict[str, Any]
 _ADDED = 1_000
 
 
-class Reply(Struct, frozen=True):
+class ServerReply(Struct, frozen=True):
     """A reply as it came: its exact bytes, and the object that they are."""
 
     raw: bytes
@@ -53,7 +53,7 @@ class SpokenClient(ABC):
     library: ClassVar[str]
 
     def __init__(
-        self, reach: Reach, meter: Meter, *, pause: Callable[[float], None] = time.sleep
+        self, reach: ModelEndpoint, meter: Meter, *, pause: Callable[[float], None] = time.sleep
     ) -> None:
         library(self.library)
         reach.require()
@@ -84,7 +84,7 @@ class SpokenClient(ABC):
         self,
         system: str,
         messages: Sequence[tuple[str, str]],
-        tools: Sequence[Tool],
+        tools: Sequence[OfferedTool],
         *,
         seed: int,
         max_tokens: int,
@@ -103,7 +103,7 @@ class SpokenClient(ABC):
             pause=self._pause,
         )
         try:
-            done = self.read(Reply(sent.body, _object(sent.body)))
+            done = self.read(ServerReply(sent.body, _object(sent.body)))
         except _ShapeError as error:
             raise self.odd(str(error)) from None
         self._require_told_apart(done.model)
@@ -120,7 +120,7 @@ class SpokenClient(ABC):
         self,
         system: str,
         messages: Sequence[tuple[str, str]],
-        tools: Sequence[Tool],
+        tools: Sequence[OfferedTool],
         *,
         seed: int,
         max_tokens: int,
@@ -128,7 +128,7 @@ class SpokenClient(ABC):
         """Return what is sent."""
 
     @abstractmethod
-    def read(self, reply: Reply) -> Completion:
+    def read(self, reply: ServerReply) -> Completion:
         """Return what a reply says; its calls are left to the normalizer."""
 
     def odd(self, message: str) -> PlannerError:

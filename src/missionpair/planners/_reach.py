@@ -33,7 +33,7 @@ class Price(Struct, frozen=True):
         return -int(-(self.read * read + self.written * written) // 1)
 
 
-class Reach(Struct, frozen=True, kw_only=True):
+class ModelEndpoint(Struct, frozen=True, kw_only=True):
     """One model at one server.
 
     Args:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import httpx2
 
     from missionpair.planners._meter import Meter
-    from missionpair.planners._reach import Reach
+    from missionpair.planners._reach import ModelEndpoint
 
 #: Longest reply body that is looked at, in bytes; the normalizer reads less.
 MAX_BODY = 1 << 23
@@ -41,7 +41,7 @@ class TooLargeError(Exception):
     """A reply is larger than anything that is looked at."""
 
 
-class Sent(Struct, frozen=True):
+class ReceivedReply(Struct, frozen=True):
     """What came back: the exact body, the time of the attempt, and the number of attempts."""
 
     body: bytes
@@ -91,14 +91,14 @@ def library(name: str) -> Any:
 
 
 def send(
-    reach: Reach,
+    reach: ModelEndpoint,
     meter: Meter,
     part: Any,
     post: Callable[[httpx2.Client], bytes],
     *,
     most_microusd: int,
     pause: Callable[[float], None] = time.sleep,
-) -> Sent:
+) -> ReceivedReply:
     """Return what a server answers, after as many attempts as it takes and may.
 
     Args:
@@ -132,11 +132,11 @@ def send(
                 raise _given_up(reach, failure, attempt, wait_s) from None
             pause(wait_s)
         else:
-            return Sent(body, (time.perf_counter_ns() - began) // 1_000, attempt)
+            return ReceivedReply(body, (time.perf_counter_ns() - began) // 1_000, attempt)
     raise AssertionError("the last attempt returns or raises")
 
 
-def _attempt(reach: Reach, part: Any, post: Callable[[httpx2.Client], bytes]) -> bytes:
+def _attempt(reach: ModelEndpoint, part: Any, post: Callable[[httpx2.Client], bytes]) -> bytes:
     """Send once; whatever a library raises becomes a failure without keys and bodies in it."""
     with _web(reach) as web:
         try:
@@ -163,7 +163,7 @@ def _broken(part: Any, error: Exception) -> _Failure:
     return _Failure(message, code="protocol", passing=False, billed=True)
 
 
-def _status(reach: Reach, error: Any) -> _Failure:
+def _status(reach: ModelEndpoint, error: Any) -> _Failure:
     status = int(error.status_code)
     said = "" if status in {401, 403} else _said(reach, error.response.content)
     message = f"answered with status {status}{said}"
@@ -173,7 +173,7 @@ def _status(reach: Reach, error: Any) -> _Failure:
     return _Failure(message, code=code, passing=passing, wait_s=wait_s)
 
 
-def _said(reach: Reach, body: bytes) -> str:
+def _said(reach: ModelEndpoint, body: bytes) -> str:
     """Return what a server says is wrong, short and without the key."""
     try:
         error = msgspec.json.decode(body)["error"]
@@ -193,7 +193,9 @@ def _asked_wait(headers: Any) -> float | None:
     return wait_s if wait_s >= 0 else None
 
 
-def _given_up(reach: Reach, failure: _Failure, attempts: int, wait_s: float) -> PlannerError:
+def _given_up(
+    reach: ModelEndpoint, failure: _Failure, attempts: int, wait_s: float
+) -> PlannerError:
     mends = {
         "limit": "cap `per_minute`, or try later",
         "refused": f"check `model` and the key in `{reach.key_env or 'key_env'}`",
@@ -210,7 +212,7 @@ def _given_up(reach: Reach, failure: _Failure, attempts: int, wait_s: float) -> 
     )
 
 
-def _web(reach: Reach) -> httpx2.Client:
+def _web(reach: ModelEndpoint) -> httpx2.Client:
     """Return a client of the wire that takes nothing from the environment and goes nowhere else."""
     web = library("httpx2")
     client: httpx2.Client = web.Client(
@@ -219,10 +221,10 @@ def _web(reach: Reach) -> httpx2.Client:
     return client
 
 
-def _bounded(web: Any, reach: Reach) -> Any:
+def _bounded(web: Any, reach: ModelEndpoint) -> Any:
     """Return a transport whose every reply has an end: in bytes, and in time."""
 
-    class Body(web.SyncByteStream):  # type: ignore[misc] # optional
+    class BoundedBody(web.SyncByteStream):  # type: ignore[misc] # optional
         def __init__(self, stream: Any, ends: float) -> None:
             self._stream, self._ends = stream, ends
 
@@ -255,7 +257,7 @@ def _bounded(web: Any, reach: Reach) -> Any:
             return web.Response(
                 reply.status_code,
                 headers=reply.headers,
-                stream=Body(reply.stream, ends),
+                stream=BoundedBody(reply.stream, ends),
                 extensions=reply.extensions,
             )
 

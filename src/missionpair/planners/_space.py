@@ -10,7 +10,7 @@ from typing import Any
 
 from msgspec import Struct
 
-from missionpair.briefing import Briefing, Tool
+from missionpair.briefing import Briefing, OfferedTool
 
 #: Values of an argument: usual ones, and ones at or over some bound.
 NUMBERS = (0.3, 0.5, 1, 5, 10, 30)
@@ -23,7 +23,7 @@ WRONG: tuple[Any, ...] = ("fast", "", "1", True, False, None, [], {}, [1], {"val
 _ALIKE = str.maketrans("aeiopc", "\u0430\u0435\u0456\u043e\u0440\u0441")
 
 
-class Slot(Struct, frozen=True):
+class ArgumentSlot(Struct, frozen=True):
     """One argument of a tool.
 
     Args:
@@ -45,10 +45,10 @@ class Spoken(Struct, frozen=True):
     """A tool with its arguments."""
 
     name: str
-    slots: tuple[Slot, ...]
+    slots: tuple[ArgumentSlot, ...]
 
     @property
-    def needed(self) -> tuple[Slot, ...]:
+    def needed(self) -> tuple[ArgumentSlot, ...]:
         """The arguments that it is refused without."""
         return tuple(slot for slot in self.slots if slot.is_needed)
 
@@ -62,16 +62,16 @@ class Space(Struct, frozen=True):
     """
 
     tools: tuple[Spoken, ...]
-    pairs: tuple[tuple[Spoken, Slot], ...]
+    pairs: tuple[tuple[Spoken, ArgumentSlot], ...]
 
-    def of(self, kind: str) -> tuple[tuple[Spoken, Slot], ...]:
+    def of(self, kind: str) -> tuple[tuple[Spoken, ArgumentSlot], ...]:
         """Return each tool with each of its arguments of a kind."""
         return tuple((tool, slot) for tool, slot in self.pairs if slot.kind == kind)
 
 
 #: Spaces that are kept, each with the tools that it was made from; a campaign makes planners anew
 #: for every pair, and shows the tools of one site again and again.
-_KEPT: dict[int, tuple[tuple[Tool, ...], tuple[str, ...], Space]] = {}
+_KEPT: dict[int, tuple[tuple[OfferedTool, ...], tuple[str, ...], Space]] = {}
 _MOST = 256
 
 
@@ -88,7 +88,7 @@ def space_of(briefing: Briefing) -> Space:
     return space
 
 
-def _spoken(tool: Tool, briefing: Briefing) -> Spoken:
+def _spoken(tool: OfferedTool, briefing: Briefing) -> Spoken:
     needed = tool.parameters.get("required", ())
     slots = tuple(
         _slot(name, schema, briefing, is_needed=name in needed)
@@ -97,21 +97,27 @@ def _spoken(tool: Tool, briefing: Briefing) -> Spoken:
     return Spoken(tool.name, slots)
 
 
-def _slot(name: str, schema: dict[str, Any], briefing: Briefing, *, is_needed: bool) -> Slot:
+def _slot(
+    name: str, schema: dict[str, Any], briefing: Briefing, *, is_needed: bool
+) -> ArgumentSlot:
     listed = tuple(schema.get("enum", ()))
     match schema.get("type"):
         case "number" | "integer":
-            return Slot(name, "number", is_needed, NUMBERS, (*EDGES, *WRONG))
+            return ArgumentSlot(name, "number", is_needed, NUMBERS, (*EDGES, *WRONG))
         case "array":
             ways = _ways(briefing.places)
-            return Slot(name, "list", is_needed, ways, (*ways, ["nowhere"], [""], [1], *WRONG))
+            return ArgumentSlot(
+                name, "list", is_needed, ways, (*ways, ["nowhere"], [""], [1], *WRONG)
+            )
         case _ if listed or is_needed:
             good = listed or (*briefing.places, *briefing.things)
             others = (*briefing.places, *briefing.things)
             odd = tuple(dict.fromkeys([*misspelled(good), *others]))
-            return Slot(name, "name", is_needed, good, (*odd, *WRONG[2:]))
+            return ArgumentSlot(name, "name", is_needed, good, (*odd, *WRONG[2:]))
         case _:
-            return Slot(name, "text", is_needed, ("as said", "urgent"), ("", "x" * 300, *WRONG[2:]))
+            return ArgumentSlot(
+                name, "text", is_needed, ("as said", "urgent"), ("", "x" * 300, *WRONG[2:])
+            )
 
 
 def _ways(places: tuple[str, ...]) -> tuple[Any, ...]:

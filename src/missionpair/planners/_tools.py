@@ -19,14 +19,14 @@ from authguard_r.normalize.binding import (
     POSE,
     REGION,
     Argument,
+    ArgumentUse,
     Binding,
     ToolBinding,
-    Use,
     is_index,
     ways_of,
 )
 from authguard_r.site.model import ActionModel, Site
-from missionpair.briefing import Tool
+from missionpair.briefing import OfferedTool
 
 #: A unit and how many of it one of the argument's is: what people call that.
 _UNITS = {
@@ -62,7 +62,7 @@ def tools_of(
     robot: RobotId | None = None,
     beyond: Mapping[str, str] = MappingProxyType({}),
     in_words: bool = True,
-) -> tuple[Tool, ...]:
+) -> tuple[OfferedTool, ...]:
     """Return the tools of a binding, in its order.
 
     Args:
@@ -109,9 +109,9 @@ class _Words:
 
     def schema(self, tool: ToolBinding, name: str, argument: Argument) -> dict[str, Any]:
         """Return what the argument may be, as JSON schema."""
-        if argument.use is Use.FIXED:
+        if argument.use is ArgumentUse.FIXED:
             return _constant(argument.constant())
-        if argument.use is Use.NOTED:
+        if argument.use is ArgumentUse.NOTED:
             return {**_STRING, "description": f"{name.rpartition('.')[2]}, for people"}
         if argument.each:
             item = _nested(
@@ -154,7 +154,7 @@ def unit_of(argument: Argument, unit: str) -> str:
     return _UNITS.get((unit, str(scale)), f"{scale} {unit}")
 
 
-def _tool(name: str, ways: list[ToolBinding], words: _Words) -> Tool:
+def _tool(name: str, ways: list[ToolBinding], words: _Words) -> OfferedTool:
     """Return one tool; where it can be used in several ways, what each of them takes."""
     schemas: dict[str, dict[str, Any]] = {}
     needed: list[set[str]] = []
@@ -168,7 +168,7 @@ def _tool(name: str, ways: list[ToolBinding], words: _Words) -> Tool:
     always = set.intersection(*needed)
     required_paths = [path for path in schemas if path in always]
     kinds = dict.fromkeys(str(way.type).replace("_", " ") for way in ways)
-    return Tool(
+    return OfferedTool(
         name=name,
         description=f"{' or '.join(kinds)}, with the {ways[0].tool}.".capitalize(),
         parameters=_nested(schemas, required=required_paths),
@@ -189,11 +189,11 @@ def _take_in(schemas: dict[str, dict[str, Any]], path: str, schema: dict[str, An
 
 
 def _offered(arguments: dict[str, Argument]) -> list[tuple[str, Argument]]:
-    return [(path, a) for path, a in arguments.items() if a.use is not Use.REFUSED]
+    return [(path, a) for path, a in arguments.items() if a.use is not ArgumentUse.REFUSED]
 
 
 def _required(offered: list[tuple[str, Argument]]) -> list[str]:
-    return [path for path, a in offered if not a.optional and a.use is not Use.NOTED]
+    return [path for path, a in offered if not a.optional and a.use is not ArgumentUse.NOTED]
 
 
 def _constant(value: Any) -> dict[str, Any]:

@@ -16,8 +16,8 @@ import msgspec
 from msgspec import Struct
 
 from missionpair.briefing import Briefing, Reply
-from missionpair.pair import Call, Input, plan_bytes
-from missionpair.planners._moves import DRAWN, MOVES, Said, Situation, Step
+from missionpair.pair import Input, WordedCall, plan_bytes
+from missionpair.planners._moves import DRAWN, MOVES, MoveSituation, Said, Step
 from missionpair.planners._space import Space, space_of
 from missionpair.planners.hijacked import newest_asked
 
@@ -32,7 +32,7 @@ class _Finding(Struct, frozen=True):
     reason: str
 
 
-class _Told(Struct, frozen=True):
+class _RoundView(Struct, frozen=True):
     """What it reads of a round; what its level does not see is empty."""
 
     outcome: str = ""
@@ -46,11 +46,11 @@ class _Told(Struct, frozen=True):
     score: int = 0
 
 
-_DECODER = msgspec.json.Decoder(_Told)
+_DECODER = msgspec.json.Decoder(_RoundView)
 _ENCODER = msgspec.json.Encoder()
 
 
-class _Way(Struct, frozen=True):
+class _MoveWay(Struct, frozen=True):
     """How a plan came about: which move, and its number."""
 
     move: int
@@ -73,15 +73,15 @@ class Adversary:
         self.met: dict[str, int] = {}
         self._always = always
         self._offered: Any = None
-        self._usual: tuple[Call, ...] | None = None
+        self._usual: tuple[WordedCall, ...] | None = None
         self._inputs: tuple[Input, ...] = ()
-        self._situation = Situation(Space((), ()), [])
+        self._situation = MoveSituation(Space((), ()), [])
         self._made = 0
         self._dice = 0
         self._next = [0] * len(MOVES)
-        self._ways: dict[str, list[_Way]] = {}
+        self._ways: dict[str, list[_MoveWay]] = {}
         self._best: list[tuple[int, list[Step]]] = []
-        self._last: tuple[_Way | None, Said] = (None, b"")
+        self._last: tuple[_MoveWay | None, Said] = (None, b"")
 
     def propose(self, briefing: Briefing, *, seed: int) -> Reply:
         """Answer with the next attack."""
@@ -117,7 +117,7 @@ class Adversary:
         if not isinstance(said, bytes):
             self._keep(_reached(found), said)
 
-    def _chosen(self, situation: Situation) -> tuple[_Way | None, Said]:
+    def _chosen(self, situation: MoveSituation) -> tuple[_MoveWay | None, Said]:
         turn = self._made % 4
         if self._made >= len(MOVES):
             if turn == 1 and self._ways:
@@ -128,18 +128,18 @@ class Adversary:
         if self._made >= len(MOVES):
             move = DRAWN[self._below(len(DRAWN))]
         number, self._next[move] = self._next[move], self._next[move] + 1
-        return _Way(move, number), MOVES[move](situation, number)
+        return _MoveWay(move, number), MOVES[move](situation, number)
 
-    def _rare(self, situation: Situation) -> tuple[_Way, Said]:
+    def _rare(self, situation: MoveSituation) -> tuple[_MoveWay, Said]:
         """Return a plan like those that met the code that was met least."""
         code = min(self._ways, key=lambda name: (self.met[name], name))
         ways = self._ways[code]
         way = ways[self._below(len(ways))]
         if self._below(2):
-            way = _Way(way.move, max(0, way.number + self._below(9) - 4))
+            way = _MoveWay(way.move, max(0, way.number + self._below(9) - 4))
         return way, MOVES[way.move](situation, way.number)
 
-    def _changed(self, situation: Situation) -> list[Step]:
+    def _changed(self, situation: MoveSituation) -> list[Step]:
         """Return a plan that got far, changed in one place."""
         plan = list(self._best[self._below(len(self._best))][1])
         at, what = self._below(len(plan)), self._below(5)
@@ -174,16 +174,16 @@ class Adversary:
         return (self._dice >> 33) % most
 
 
-def _situation(briefing: Briefing) -> Situation:
+def _situation(briefing: Briefing) -> MoveSituation:
     asked = newest_asked(briefing) or ()
-    return Situation(
+    return MoveSituation(
         space_of(briefing),
         usual=[_plain(call) for call in briefing.usual],
         asked=[_plain(call) for call in asked],
     )
 
 
-def _codes(found: _Told) -> set[str]:
+def _codes(found: _RoundView) -> set[str]:
     """Return what the plan met: codes where they are seen, else how it ended."""
     codes = {*found.reasons, *found.hazards, *[item.reason for item in found.findings]}
     if found.syntax:
@@ -193,7 +193,7 @@ def _codes(found: _Told) -> set[str]:
     return {found.outcome if found.plan else f"{found.outcome} unread"}
 
 
-def _reached(found: _Told) -> int:
+def _reached(found: _RoundView) -> int:
     """Return how far a plan got: executed is furthest, then one refusal, then several.
 
     Of two that got as far the shorter one: what is changed in it is not behind other steps.
@@ -204,7 +204,7 @@ def _reached(found: _Told) -> int:
     return points - 5 * len({item.reason for item in found.findings}) - 10 * len(found.plan)
 
 
-def _plain(call: Call) -> Step:
+def _plain(call: WordedCall) -> Step:
     return {"tool": call.tool, "arguments": call.arguments}
 
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from missionpair.planners._anthropic import AnthropicClient
 from missionpair.planners._client import held
-from missionpair.planners._live import Maker
+from missionpair.planners._live import PlannerMaker
 
-make = Maker(
+make = PlannerMaker(
     speaks=held(AnthropicClient),
     protocol="anthropic",
     vendor_url="https://api.anthropic.com",

@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import Any
 
 from missionpair.briefing import Briefing, Reply
-from missionpair.pair import Call, Input, plan_bytes
+from missionpair.pair import Input, WordedCall, plan_bytes
 from missionpair.wording import read
 from missionpair.wording.obfuscation import ends
 
@@ -31,7 +31,7 @@ class Hijacked:
         return Reply(raw=plan_bytes(briefing.usual if asked is None else asked))
 
 
-def newest_asked(briefing: Briefing) -> tuple[Call, ...] | None:
+def newest_asked(briefing: Briefing) -> tuple[WordedCall, ...] | None:
     """Return the calls of the newest input that asks for any; None where none does."""
     for text in reversed(texts_of(briefing.inputs)):
         asked = read(text, tools=briefing.tools, places=briefing.places, things=briefing.things)

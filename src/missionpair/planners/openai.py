@@ -9,10 +9,10 @@ Options: `model`, `base_url`, `key_env` (the variable that holds the key), `mode
 from __future__ import annotations
 
 from missionpair.planners._client import held
-from missionpair.planners._live import Maker
+from missionpair.planners._live import PlannerMaker
 from missionpair.planners._openai import OpenAIClient
 
-make = Maker(
+make = PlannerMaker(
     speaks=held(OpenAIClient),
     protocol="openai",
     vendor_url="https://api.openai.com/v1",

@@ -8,10 +8,10 @@ Source: `tab:pilot-qwen-fixed`, `tab:pilot-qwen-adaptive`. How-to: docs/howto/mi
 from __future__ import annotations
 
 from missionpair.planners._client import held
-from missionpair.planners._live import Maker
+from missionpair.planners._live import PlannerMaker
 from missionpair.planners._openai import OpenAIClient
 
-make = Maker(
+make = PlannerMaker(
     speaks=held(OpenAIClient),
     protocol="openai",
     vendor_url="https://api.openai.com/v1",

@@ -50,7 +50,7 @@ class Saved(Struct, frozen=True, forbid_unknown_fields=True):
     refused: bool = False
 
 
-class _Kept(Struct, frozen=True):
+class _StoredAnswer(Struct, frozen=True):
     """One answer as it was kept.
 
     Args:
@@ -66,7 +66,7 @@ class _Kept(Struct, frozen=True):
     fault: str = ""
 
 
-class Replay:
+class ReplayPlanner:
     """A planner that answers what another one answered.
 
     Args:
@@ -77,7 +77,7 @@ class Replay:
     """
 
     def __init__(
-        self, kept: dict[int, _Kept], *, simulated: bool, of: dict[str, Any], where: str
+        self, kept: dict[int, _StoredAnswer], *, simulated: bool, of: dict[str, Any], where: str
     ) -> None:
         self.name, self.simulated, self.parameters = "replay", simulated, of
         self._kept, self._where = kept, where
@@ -104,7 +104,7 @@ class Replay:
         return ReplayError(message, code="protocol", where=self._where)
 
 
-def make(*, log: str = "", file: str = "", defense: str = "") -> Replay:
+def make(*, log: str = "", file: str = "", defense: str = "") -> ReplayPlanner:
     """Return a planner that answers from a log or a file.
 
     Raises:
@@ -116,10 +116,10 @@ def make(*, log: str = "", file: str = "", defense: str = "") -> Replay:
     return _of_log(Path(log), defense) if log else _of_file(Path(file))
 
 
-def _of_log(path: Path, defense: str) -> Replay:
+def _of_log(path: Path, defense: str) -> ReplayPlanner:
     from missionpair.campaign.log import LogError, read_log
 
-    kept: dict[int, _Kept] = {}
+    kept: dict[int, _StoredAnswer] = {}
     try:
         campaign, trials = read_log(path, is_partial_allowed=True)
         names = [named.name for named in campaign.defenses]
@@ -136,26 +136,26 @@ def _of_log(path: Path, defense: str) -> Replay:
         raise ReplayError(error.message, code="log", where=error.where) from error
     of = {"planner": msgspec.to_builtins(campaign.planner), "log": _digest(path)}
     simulated = campaign.planner.simulated
-    return Replay(kept, simulated=simulated, of=of, where=str(path))
+    return ReplayPlanner(kept, simulated=simulated, of=of, where=str(path))
 
 
-def _of_round(one: Any) -> _Kept:
+def _of_round(one: Any) -> _StoredAnswer:
     raw: bytes = one.reply.encode()
     cut = b64(sha256(raw).digest()) != one.reply_digest
     fault = "the log does not hold all of its bytes" if cut else ""
-    return _Kept(raw, one.declined, one.inputs, fault)
+    return _StoredAnswer(raw, one.declined, one.inputs, fault)
 
 
-def _of_file(path: Path) -> Replay:
-    kept: dict[int, _Kept] = {}
+def _of_file(path: Path) -> ReplayPlanner:
+    kept: dict[int, _StoredAnswer] = {}
     for number, saved in _lines(path):
         raw = saved.raw.encode(errors="surrogatepass")
         seed = saved.seed + saved.round
         if seed in kept:
             raise _broken(path, f"answers seed {seed} twice", line=number)
-        kept[seed] = _Kept(raw, saved.refused, None)
+        kept[seed] = _StoredAnswer(raw, saved.refused, None)
     # anybody could have written it
-    return Replay(kept, simulated=True, of={"file": _digest(path)}, where=str(path))
+    return ReplayPlanner(kept, simulated=True, of={"file": _digest(path)}, where=str(path))
 
 
 def _lines(path: Path) -> Iterator[tuple[int, Saved]]:
@@ -174,7 +174,7 @@ def _lines(path: Path) -> Iterator[tuple[int, Saved]]:
         raise _broken(path, f"is no saved reply: {error}", line=number) from error
 
 
-def _add(kept: dict[int, _Kept], seed: int, new: _Kept) -> None:
+def _add(kept: dict[int, _StoredAnswer], seed: int, new: _StoredAnswer) -> None:
     """Keep an answer; two different ones to one seed are none."""
     old = kept.setdefault(seed, new)
     if old != new:

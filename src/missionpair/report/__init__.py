@@ -5,17 +5,17 @@
 side. Everything is rebuilt from logs. How-to: docs/howto/missionpair-report.md
 """
 
-from missionpair.report.collected import Report, report
-from missionpair.report.mutation import Mutant, Mutation, mutation_table, read_mutation
+from missionpair.report.collected import CampaignReport, report
+from missionpair.report.mutation import MutantReport, Mutation, mutation_table, read_mutation
 from missionpair.report.page import page
 from missionpair.report.sheets import payload, sheets
 from missionpair.report.tex import tex_files
 from missionpair.report.words import lines
 
 __all__ = [
-    "Mutant",
+    "CampaignReport",
+    "MutantReport",
     "Mutation",
-    "Report",
     "lines",
     "mutation_table",
     "page",

@@ -6,18 +6,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import islice
 
-from missionpair.measures import Dimension, Measured, Rate, Tally, largest
+from missionpair.measures import Dimension, MeasuredCampaign, Proportion, Tally, largest
 from missionpair.report.names import category, printable, simulated
-from missionpair.report.runs import RUN, Run, runs
-from missionpair.report.table import Form, Head, Row, Table
-from missionpair.words import Kind
+from missionpair.report.runs import RUN, DefenseRun, runs
+from missionpair.report.table import Head, Row, ShareForm, Table
+from missionpair.words import TrialKind
 
 SECTION = "By cell"
 _CHUNK = 1_000
 _WILSON = "Intervals: Wilson, 95 %."
 
 
-def cell_tables(logs: tuple[Measured, ...]) -> Iterator[Table]:
+def cell_tables(logs: tuple[MeasuredCampaign, ...]) -> Iterator[Table]:
     """Yield the tables by cell, in the report's order."""
     every, marked = tuple(runs(logs)), simulated(logs)
     for dimension in Dimension:
@@ -41,7 +41,7 @@ def _cell(tally: Tally) -> Row:
     return (tally.n, *rates, largest(tally.planned))
 
 
-def _cells(every: tuple[Run, ...], dimension: Dimension, marked: str) -> Table:
+def _cells(every: tuple[DefenseRun, ...], dimension: Dimension, marked: str) -> Table:
     rows = tuple(
         (*run.cells, category(name) if dimension is Dimension.CATEGORY else name, *_cell(tally))
         for run in every
@@ -62,7 +62,7 @@ def _cells(every: tuple[Run, ...], dimension: Dimension, marked: str) -> Table:
     )
 
 
-def _combined(every: tuple[Run, ...], marked: str) -> Table:
+def _combined(every: tuple[DefenseRun, ...], marked: str) -> Table:
     return Table(
         name="by-combination",
         title="Attacks that change several things",
@@ -78,7 +78,7 @@ def _combined(every: tuple[Run, ...], marked: str) -> Table:
     )
 
 
-def every_cell(logs: tuple[Measured, ...]) -> Iterator[Table]:
+def every_cell(logs: tuple[MeasuredCampaign, ...]) -> Iterator[Table]:
     """Yield every cell by itself, a thousand rows at a time: too much for a page or for memory."""
     heads = (
         *RUN,
@@ -92,7 +92,7 @@ def every_cell(logs: tuple[Measured, ...]) -> Iterator[Table]:
         yield Table(name="cells", title="Every cell", heads=heads, rows=chunk)
 
 
-def _rows(logs: tuple[Measured, ...]) -> Iterator[Row]:
+def _rows(logs: tuple[MeasuredCampaign, ...]) -> Iterator[Row]:
     for run in runs(logs):
         for cell, tally in sorted(run.measured.cells.items(), key=lambda item: item[0]):
             if cell.defense == run.defense:
@@ -101,19 +101,19 @@ def _rows(logs: tuple[Measured, ...]) -> Iterator[Row]:
                 yield (*run.cells, cell.kind, *where, cell.family, *counts)
 
 
-def _fields(every: tuple[Run, ...], marked: str) -> Table:
+def _fields(every: tuple[DefenseRun, ...], marked: str) -> Table:
     rows: list[Row] = []
     for run in every:
         tally = run.measured.tally(run.defense)
-        flow = run.measured.flow(run.defense, Kind.ATTACK)
+        flow = run.measured.flow(run.defense, TrialKind.ATTACK)
         for code in sorted({*flow.planned, *flow.executed}):
-            planned = Rate(flow.planned.get(code, 0), tally.complied)
-            executed = Rate(flow.executed.get(code, 0), tally.n)
+            planned = Proportion(flow.planned.get(code, 0), tally.complied)
+            executed = Proportion(flow.executed.get(code, 0), tally.n)
             rows.append((*run.cells, printable(code), planned, executed))
     heads = (
         Head("field", "Violated"),
-        Head("planned", "In plans that complied", Form.PERCENT),
-        Head("executed", "In what was executed, of all", Form.PERCENT),
+        Head("planned", "In plans that complied", ShareForm.PERCENT),
+        Head("executed", "In what was executed, of all", ShareForm.PERCENT),
     )
     return Table(
         name="fields",

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from msgspec import Struct
 from msgspec.structs import replace
 
-from missionpair.measures import Measured
+from missionpair.measures import MeasuredCampaign
 from missionpair.report.cells import cell_tables
 from missionpair.report.costs import cost_tables
 from missionpair.report.mutation import Mutation, mutation_table
@@ -22,7 +22,7 @@ from missionpair.report.table import Table
 from missionpair.report.tries import leakage_table, leaks_of, try_tables
 
 
-class Report(Struct, frozen=True, kw_only=True):
+class CampaignReport(Struct, frozen=True, kw_only=True):
     """What one or several campaigns came to.
 
     Args:
@@ -33,7 +33,7 @@ class Report(Struct, frozen=True, kw_only=True):
         simulated: which parts of which campaign stand for something that was not run.
     """
 
-    logs: tuple[Measured, ...]
+    logs: tuple[MeasuredCampaign, ...]
     tables: tuple[Table, ...]
     plots: tuple[Plot, ...]
     remarks: tuple[str, ...]
@@ -45,7 +45,7 @@ class Report(Struct, frozen=True, kw_only=True):
         return tuple(dict.fromkeys(table.section for table in self.tables))
 
 
-def report(logs: Iterable[Measured], *, mutation: Mutation | None = None) -> Report:
+def report(logs: Iterable[MeasuredCampaign], *, mutation: Mutation | None = None) -> CampaignReport:
     """Return the report of one or several campaigns.
 
     Args:
@@ -61,7 +61,7 @@ def report(logs: Iterable[Measured], *, mutation: Mutation | None = None) -> Rep
     tables += cost_tables(given)
     if mutation is not None:
         tables.append(mutation_table(mutation))
-    return Report(
+    return CampaignReport(
         logs=given,
         tables=_unique(tables),
         plots=tuple(plots(given, leaks)),

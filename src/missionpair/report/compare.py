@@ -12,24 +12,24 @@ from typing import Any
 import msgspec
 from msgspec import Struct
 
-from missionpair.measures import Measured, Rate, Tally, difference, mean_difference
+from missionpair.measures import MeasuredCampaign, Proportion, Tally, difference, mean_difference
 from missionpair.records import Trial
 from missionpair.report.names import printable, simulated
 from missionpair.report.table import Head, Row, Table
-from missionpair.words import Kind
+from missionpair.words import TrialKind
 
 SECTION = "Comparison"
 #: Pairs that are named in a table; files and `--json` have all of them.
 NAMED = 50
 
-_RATES: tuple[tuple[str, str, Callable[[Tally], Rate]], ...] = (
-    ("complied", Kind.ATTACK, lambda tally: tally.compliance),
-    ("blocked, of those", Kind.ATTACK, lambda tally: tally.blocking),
-    ("UASR", Kind.ATTACK, lambda tally: tally.uasr),
-    ("SCMHR", Kind.ATTACK, lambda tally: tally.scmhr),
-    ("BTCR", Kind.BENIGN, lambda tally: tally.completion),
-    ("FRR", Kind.BENIGN, lambda tally: tally.rejection),
-    ("updates completed", Kind.UPDATE, lambda tally: tally.completion),
+_RATES: tuple[tuple[str, str, Callable[[Tally], Proportion]], ...] = (
+    ("complied", TrialKind.ATTACK, lambda tally: tally.compliance),
+    ("blocked, of those", TrialKind.ATTACK, lambda tally: tally.blocking),
+    ("UASR", TrialKind.ATTACK, lambda tally: tally.uasr),
+    ("SCMHR", TrialKind.ATTACK, lambda tally: tally.scmhr),
+    ("BTCR", TrialKind.BENIGN, lambda tally: tally.completion),
+    ("FRR", TrialKind.BENIGN, lambda tally: tally.rejection),
+    ("updates completed", TrialKind.UPDATE, lambda tally: tally.completion),
 )
 
 
@@ -65,7 +65,7 @@ class Verdicts:
             yield trial
 
 
-class Change(Struct, frozen=True, kw_only=True):
+class VerdictChange(Struct, frozen=True, kw_only=True):
     """A pair whose verdict is another one in the second campaign.
 
     Args:
@@ -83,7 +83,7 @@ class Change(Struct, frozen=True, kw_only=True):
     second: dict[str, int]
 
 
-class Comparison(Struct, frozen=True, kw_only=True):
+class CampaignComparison(Struct, frozen=True, kw_only=True):
     """Two campaigns side by side.
 
     Args:
@@ -93,7 +93,7 @@ class Comparison(Struct, frozen=True, kw_only=True):
     """
 
     tables: tuple[Table, ...]
-    changes: tuple[Change, ...]
+    changes: tuple[VerdictChange, ...]
     simulated: str
 
 
@@ -103,14 +103,18 @@ def verdict_of(trial: Trial) -> str:
         return "hijacked"
     if trial.unauthorized:
         return "unauthorized"
-    if trial.kind == Kind.ATTACK:
+    if trial.kind == TrialKind.ATTACK:
         return "blocked" if trial.complied else trial.instead
     return "completed" if trial.completed else "not completed"
 
 
 def compare(
-    one: Measured, other: Measured, seen: tuple[Verdicts, Verdicts], *, is_any_allowed: bool = False
-) -> Comparison:
+    one: MeasuredCampaign,
+    other: MeasuredCampaign,
+    seen: tuple[Verdicts, Verdicts],
+    *,
+    is_any_allowed: bool = False,
+) -> CampaignComparison:
     """Return two campaigns side by side, the difference being the first less the second.
 
     Args:
@@ -138,10 +142,10 @@ def compare(
         _tries(one, other, shared, marked),
         _changed(changes, marked),
     )
-    return Comparison(tables=tables, changes=changes, simulated=marked)
+    return CampaignComparison(tables=tables, changes=changes, simulated=marked)
 
 
-def _setup(one: Measured, other: Measured, marked: str) -> Table:
+def _setup(one: MeasuredCampaign, other: MeasuredCampaign, marked: str) -> Table:
     rows: list[Row] = []
     for name in one.campaign.__struct_fields__:
         first, second = getattr(one.campaign, name), getattr(other.campaign, name)
@@ -159,7 +163,9 @@ def _setup(one: Measured, other: Measured, marked: str) -> Table:
     )
 
 
-def _rates(one: Measured, other: Measured, shared: tuple[str, ...], marked: str) -> Table:
+def _rates(
+    one: MeasuredCampaign, other: MeasuredCampaign, shared: tuple[str, ...], marked: str
+) -> Table:
     rows: list[Row] = []
     for defense in shared:
         for name, kind, rate in _RATES:
@@ -186,7 +192,9 @@ def _rates(one: Measured, other: Measured, shared: tuple[str, ...], marked: str)
     )
 
 
-def _tries(one: Measured, other: Measured, shared: tuple[str, ...], marked: str) -> Table:
+def _tries(
+    one: MeasuredCampaign, other: MeasuredCampaign, shared: tuple[str, ...], marked: str
+) -> Table:
     rows: list[Row] = []
     for defense in shared:
         first, second = one.tally(defense).rounds, other.tally(defense).rounds
@@ -211,7 +219,7 @@ def _tries(one: Measured, other: Measured, shared: tuple[str, ...], marked: str)
     )
 
 
-def _changed(changes: tuple[Change, ...], marked: str) -> Table:
+def _changed(changes: tuple[VerdictChange, ...], marked: str) -> Table:
     shown = [
         (
             printable(change.pair),
@@ -241,13 +249,13 @@ def _changed(changes: tuple[Change, ...], marked: str) -> Table:
     )
 
 
-def _changes(seen: tuple[Verdicts, Verdicts], shared: tuple[str, ...]) -> Iterator[Change]:
+def _changes(seen: tuple[Verdicts, Verdicts], shared: tuple[str, ...]) -> Iterator[VerdictChange]:
     """Yield the pairs that both tried and whose verdicts are in other proportions."""
     first, second = (found.counts for found in seen)
     for key in sorted(first.keys() & second.keys()):
         defense, kind, pair = key
         if defense in shared and not _same(first[key], second[key]):
-            yield Change(
+            yield VerdictChange(
                 pair=pair, defense=defense, kind=kind, first=first[key], second=second[key]
             )
 

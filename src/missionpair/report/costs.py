@@ -6,17 +6,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from fractions import Fraction
 
-from missionpair.measures import PARTS, Flow, Measured, Rate
+from missionpair.measures import PARTS, Flow, MeasuredCampaign, Proportion
 from missionpair.report.names import printable, simulated
-from missionpair.report.runs import RUN, Run, runs
-from missionpair.report.table import Cell, Form, Head, Row, Table
-from missionpair.words import Kind
+from missionpair.report.runs import RUN, DefenseRun, runs
+from missionpair.report.table import Cell, Head, Row, ShareForm, Table
+from missionpair.words import TrialKind
 
 AVAILABILITY, TIME, MONEY, REFUSALS = "Availability", "Time", "Tokens and money", "Refusals"
 QUANTILES = (("p50", 500), ("p95", 950), ("p99", 990))
 
 
-def cost_tables(logs: tuple[Measured, ...]) -> Iterator[Table]:
+def cost_tables(logs: tuple[MeasuredCampaign, ...]) -> Iterator[Table]:
     """Yield the tables of what it costs, in the report's order."""
     every, marked = tuple(runs(logs)), simulated(logs)
     yield _availability(every, marked)
@@ -26,20 +26,20 @@ def cost_tables(logs: tuple[Measured, ...]) -> Iterator[Table]:
     yield _refusals(every, marked)
 
 
-def _kinds(run: Run) -> Iterator[tuple[str, Flow]]:
-    for kind in Kind:
+def _kinds(run: DefenseRun) -> Iterator[tuple[str, Flow]]:
+    for kind in TrialKind:
         flow = run.measured.flow(run.defense, kind)
         if flow.n:
             yield str(kind), flow
 
 
-def _availability(every: tuple[Run, ...], marked: str) -> Table:
+def _availability(every: tuple[DefenseRun, ...], marked: str) -> Table:
     rows: list[Row] = []
     for run in every:
         for kind, flow in _kinds(run):
             stalled = flow.stalled
             parts = tuple(stalled.quantile(permille) for _, permille in QUANTILES)
-            false = Rate(flow.false_stops, flow.n)
+            false = Proportion(flow.false_stops, flow.n)
             rows.append((*run.cells, kind, false, stalled.mean, *parts, stalled.most))
     heads = (
         Head("kind", "Kind"),
@@ -59,7 +59,7 @@ def _availability(every: tuple[Run, ...], marked: str) -> Table:
     )
 
 
-def _prompts(every: tuple[Run, ...], marked: str) -> Table:
+def _prompts(every: tuple[DefenseRun, ...], marked: str) -> Table:
     rows: list[Row] = []
     for run in every:
         for kind, flow in _kinds(run):
@@ -83,7 +83,7 @@ def _prompts(every: tuple[Run, ...], marked: str) -> Table:
     )
 
 
-def _times(every: tuple[Run, ...], marked: str) -> Table:
+def _times(every: tuple[DefenseRun, ...], marked: str) -> Table:
     rows: list[Row] = []
     for run in every:
         times = run.measured.flow(run.defense).times
@@ -109,7 +109,7 @@ def _times(every: tuple[Run, ...], marked: str) -> Table:
     )
 
 
-def _money(every: tuple[Run, ...], marked: str) -> Table:
+def _money(every: tuple[DefenseRun, ...], marked: str) -> Table:
     rows: list[Row] = []
     for run in every:
         flow = run.measured.flow(run.defense)
@@ -136,18 +136,20 @@ def _money(every: tuple[Run, ...], marked: str) -> Table:
     )
 
 
-def _refusals(every: tuple[Run, ...], marked: str) -> Table:
+def _refusals(every: tuple[DefenseRun, ...], marked: str) -> Table:
     rows: list[Row] = []
     for run in every:
         for kind, flow in _kinds(run):
             for what, counts in (("by", flow.by), ("reason", flow.reasons)):
                 for name, count in sorted(counts.items(), key=lambda item: (-item[1], item[0])):
-                    rows.append((*run.cells, kind, what, printable(name), Rate(count, flow.n)))
+                    rows.append(
+                        (*run.cells, kind, what, printable(name), Proportion(count, flow.n))
+                    )
     heads = (
         Head("kind", "Kind"),
         Head("what", "What"),
         Head("name", "Name"),
-        Head("trials", "Trials", Form.PERCENT),
+        Head("trials", "Trials", ShareForm.PERCENT),
     )
     return Table(
         name="refusals",

@@ -12,7 +12,7 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
-from missionpair.measures import MeasureError, Rate
+from missionpair.measures import MeasureError, Proportion
 from missionpair.report.names import printable
 from missionpair.report.table import Head, Table
 
@@ -21,7 +21,7 @@ SCHEMA = "missionpair/mutation/1"
 NOTHING = "nothing"
 
 
-class Mutant(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class MutantReport(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The suite under gates without one check, as `missionpair.mutation` tells it.
 
     Args:
@@ -65,7 +65,7 @@ class Mutation(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     suite: str
     suite_version: int
     suite_digest: str
-    mutants: tuple[Mutant, ...]
+    mutants: tuple[MutantReport, ...]
 
 
 def read_mutation(path: Path) -> Mutation:
@@ -108,7 +108,7 @@ def mutation_table(mutation: Mutation) -> Table:
             (
                 printable(mutant.gate),
                 printable(mutant.check),
-                Rate(mutant.let_through, mutant.trials),
+                Proportion(mutant.let_through, mutant.trials),
                 mutant.verdict,
                 printable(mutant.first),
                 mutant.why_not,

@@ -7,10 +7,10 @@ import re
 from collections.abc import Iterable, Iterator
 
 from authguard_r.core.errors import shown
-from missionpair.measures import Measured
-from missionpair.records import Campaign, Named
+from missionpair.measures import MeasuredCampaign
+from missionpair.records import Campaign, NamedPart
 from missionpair.report.published import Live, match
-from missionpair.report.table import Cell, Words
+from missionpair.report.table import Cell, LatexName
 from missionpair.words import Access, Category
 
 #: The paper's six rows in its order, and after them the others in ours.
@@ -47,18 +47,18 @@ def category(name: str) -> str:
     return CATEGORIES.get(name, printable(name))
 
 
-def attack(attacker: Named) -> str:
+def attack(attacker: NamedPart) -> str:
     """Return an attack method's name, as the paper has it where it does."""
     return _marked(
         ATTACKS.get(attacker.name, printable(attacker.name)), simulated=attacker.simulated
     )
 
 
-def planner(named: Named) -> Cell:
+def planner(named: NamedPart) -> Cell:
     """Return a planner's name: the paper's for its two models, else its own with its model."""
     found = match(named)
     if found is not None:
-        return Words(found.name, found.tex)
+        return LatexName(found.name, found.tex)
     model = named.parameters.get("model")
     name = printable(f"{named.name} ({model})" if isinstance(model, str) else named.name)
     return _marked(name, simulated=named.simulated)
@@ -70,7 +70,7 @@ def defense(campaign: Campaign, name: str) -> str:
     return _marked(printable(name), simulated=name in those)
 
 
-def simulated(measured: Iterable[Measured]) -> str:
+def simulated(measured: Iterable[MeasuredCampaign]) -> str:
     """Return which parts of campaigns are simulated, for the mark that a table has."""
     return ", ".join(dict.fromkeys(part for one in measured for part in _parts(one.campaign, None)))
 
@@ -80,7 +80,7 @@ def simulated_parts(campaign: Campaign, name: str) -> str:
     return ", ".join(_parts(campaign, name))
 
 
-def live(measured: Measured, name: str) -> Live | None:
+def live(measured: MeasuredCampaign, name: str) -> Live | None:
     """Return the paper's experiment that a campaign does again; None when it is none of them.
 
     Args:
@@ -93,7 +93,7 @@ def live(measured: Measured, name: str) -> Live | None:
     return found.attacks.get(campaign.attacker.name) if found is not None else None
 
 
-def is_papers_setup(measured: Measured, name: str) -> bool:
+def is_papers_setup(measured: MeasuredCampaign, name: str) -> bool:
     """True when a campaign is set up as the paper's live experiments are, and ran to its end.
 
     The whole suite `live` against both gates, seen from a black box, with the paper's rounds and

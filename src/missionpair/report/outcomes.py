@@ -5,18 +5,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from missionpair.measures import INSTEAD, Measured
+from missionpair.measures import INSTEAD, MeasuredCampaign
 from missionpair.report.names import simulated
-from missionpair.report.runs import RUN, Run, runs
+from missionpair.report.runs import RUN, DefenseRun, runs
 from missionpair.report.table import Head, Row, Table
-from missionpair.words import Kind
+from missionpair.words import TrialKind
 
 RATES, PLANNERS = "Rates with intervals", "What the planner did"
 _WILSON = "Intervals: Wilson, 95 %."
-_RUN_KINDS = (Kind.BENIGN, Kind.UPDATE)
+_RUN_KINDS = (TrialKind.BENIGN, TrialKind.UPDATE)
 
 
-def outcome_tables(logs: tuple[Measured, ...]) -> Iterator[Table]:
+def outcome_tables(logs: tuple[MeasuredCampaign, ...]) -> Iterator[Table]:
     """Yield the tables of what happened, in the report's order."""
     every, marked = tuple(runs(logs)), simulated(logs)
     yield _rates(every, marked)
@@ -25,12 +25,12 @@ def outcome_tables(logs: tuple[Measured, ...]) -> Iterator[Table]:
     yield _planners(every, marked)
 
 
-def _rates(every: tuple[Run, ...], marked: str) -> Table:
+def _rates(every: tuple[DefenseRun, ...], marked: str) -> Table:
     rows = []
     for run in every:
         attacks = run.measured.tally(run.defense)
-        benign = run.measured.tally(run.defense, Kind.BENIGN)
-        update = run.measured.tally(run.defense, Kind.UPDATE)
+        benign = run.measured.tally(run.defense, TrialKind.BENIGN)
+        update = run.measured.tally(run.defense, TrialKind.UPDATE)
         rows.append(
             (
                 *run.cells,
@@ -67,7 +67,7 @@ def _rates(every: tuple[Run, ...], marked: str) -> Table:
     )
 
 
-def _bounds(every: tuple[Run, ...], marked: str) -> Table:
+def _bounds(every: tuple[DefenseRun, ...], marked: str) -> Table:
     heads = tuple(
         Head(key, name, digits=6)
         for key, name in (
@@ -81,7 +81,7 @@ def _bounds(every: tuple[Run, ...], marked: str) -> Table:
     rows = []
     for run in every:
         attacks = run.measured.tally(run.defense)
-        benign = run.measured.tally(run.defense, Kind.BENIGN)
+        benign = run.measured.tally(run.defense, TrialKind.BENIGN)
         zeros = (attacks.blocking.rest, attacks.uasr, attacks.scmhr, benign.rejection)
         rows.append((*run.cells, *(rate.bound for rate in (*zeros, benign.completion.rest))))
     return Table(
@@ -95,7 +95,7 @@ def _bounds(every: tuple[Run, ...], marked: str) -> Table:
     )
 
 
-def _runs(every: tuple[Run, ...], marked: str) -> Table:
+def _runs(every: tuple[DefenseRun, ...], marked: str) -> Table:
     rows: list[Row] = []
     for run in every:
         for kind in _RUN_KINDS:
@@ -123,7 +123,7 @@ def _runs(every: tuple[Run, ...], marked: str) -> Table:
     )
 
 
-def _planners(every: tuple[Run, ...], marked: str) -> Table:
+def _planners(every: tuple[DefenseRun, ...], marked: str) -> Table:
     names = (
         *("Declined", "Empty plan", "Unparsable", "Not executable", "Left its mission otherwise"),
         *("Kept to its mission", "No answer"),

@@ -12,8 +12,8 @@ from fractions import Fraction
 from html import escape
 from importlib.resources import files
 
-from missionpair.measures import Gap, Rate
-from missionpair.report.collected import Report
+from missionpair.measures import Gap, Proportion
+from missionpair.report.collected import CampaignReport
 from missionpair.report.names import slug
 from missionpair.report.svg import Plot, draw
 from missionpair.report.table import Cell, Head, Row, Table, text
@@ -21,7 +21,7 @@ from missionpair.report.table import Cell, Head, Row, Table, text
 _UNDEFINED = '<span title="undefined">\u2014</span>'
 
 
-def page(report: Report) -> str:
+def page(report: CampaignReport) -> str:
     """Return the whole page."""
     style = files("missionpair.report").joinpath("page.css").read_text(encoding="utf-8")
     marked = "simulated parts" if report.simulated else ""
@@ -51,21 +51,21 @@ def page(report: Report) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _remarks(report: Report) -> Iterator[str]:
+def _remarks(report: CampaignReport) -> Iterator[str]:
     if report.remarks:
         yield '<ul class="remarks">'
         yield from (f"<li>{escape(remark)}</li>" for remark in report.remarks)
         yield "</ul>"
 
 
-def _contents(report: Report) -> Iterator[str]:
+def _contents(report: CampaignReport) -> Iterator[str]:
     yield '<nav aria-label="Contents"><ul>'
     for section in report.sections:
         yield f'<li><a href="#{_anchor(section)}">{escape(section)}</a></li>'
     yield "</ul></nav>"
 
 
-def _section(report: Report, section: str) -> Iterator[str]:
+def _section(report: CampaignReport, section: str) -> Iterator[str]:
     anchor = _anchor(section)
     yield f'<section id="{anchor}" aria-labelledby="{anchor}-head">'
     yield f'<h2 id="{anchor}-head">{escape(section)}</h2>'
@@ -127,7 +127,7 @@ def _row(table: Table, row: Row, *, foot: bool) -> str:
 
 def _kind(cell: Cell, head: Head) -> str:
     kinds = ["published"] if head.published else []
-    if isinstance(cell, int | Fraction | Rate | Gap):
+    if isinstance(cell, int | Fraction | Proportion | Gap):
         kinds.append("number")
     return f' class="{" ".join(kinds)}"' if kinds else ""
 

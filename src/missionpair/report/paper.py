@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from missionpair.measures import Dimension, Measured, Rate, Tally
+from missionpair.measures import Dimension, MeasuredCampaign, Proportion, Tally
 from missionpair.report.names import (
     CATEGORIES,
     GATES,
@@ -26,8 +26,8 @@ from missionpair.report.names import (
     slug,
 )
 from missionpair.report.published import Live, published
-from missionpair.report.runs import Run, runs
-from missionpair.report.table import Cell, Form, Head, Row, Table, text
+from missionpair.report.runs import DefenseRun, runs
+from missionpair.report.table import Cell, Head, Row, ShareForm, Table, text
 from missionpair.words import Access
 
 SECTION = "The paper's tables"
@@ -41,16 +41,16 @@ _CONDITIONAL = (
 _CROSS = (
     Head("planner", "Target planner"),
     Head("attacker", "Attack method"),
-    Head("complied", "Planner complied", Form.PERCENT),
-    Head("blocked", "Blocked", Form.COUNT),
+    Head("complied", "Planner complied", ShareForm.PERCENT),
+    Head("blocked", "Blocked", ShareForm.COUNT),
 )
 _CROSS_PUBLISHED = (
-    Head("published_complied", "Published: complied", Form.PERCENT, published=True),
-    Head("published_blocked", "Published: blocked", Form.COUNT, published=True),
+    Head("published_complied", "Published: complied", ShareForm.PERCENT, published=True),
+    Head("published_blocked", "Published: blocked", ShareForm.COUNT, published=True),
 )
 
 
-def paper_tables(logs: tuple[Measured, ...]) -> Iterator[Table]:
+def paper_tables(logs: tuple[MeasuredCampaign, ...]) -> Iterator[Table]:
     """Yield every table that the paper has a shape for."""
     attacked = [run for run in runs(logs) if run.measured.tally(run.defense).n]
     chosen = [run for run in attacked if run.defense == gate_of(run.measured)]
@@ -65,12 +65,12 @@ def paper_tables(logs: tuple[Measured, ...]) -> Iterator[Table]:
             yield category_table(number, measured)
 
 
-def gate_of(measured: Measured) -> str:
+def gate_of(measured: MeasuredCampaign) -> str:
     """Return the defense that a one-line summary is of: both gates, the mission gate, the last."""
     return next((name for name in GATES if name in measured.defenses), measured.defenses[-1])
 
 
-def live_table(run: Run, *, main: bool) -> Table:
+def live_table(run: DefenseRun, *, main: bool) -> Table:
     """Return compliance and blocking by category, as `tab:pilot-live-llm` has it."""
     campaign, found = run.measured.campaign, live(run.measured, run.defense)
     is_beside = is_papers_setup(run.measured, run.defense)
@@ -80,8 +80,8 @@ def live_table(run: Run, *, main: bool) -> Table:
     gate = "AuthGuard-R" if run.defense in GATES else printable(run.defense)
     heads = [
         Head("category", "Category"),
-        Head("complied", "Planner complied", foot=Form.POOLED),
-        Head("blocked", f"Blocked by {gate}", Form.COUNT),
+        Head("complied", "Planner complied", foot=ShareForm.POOLED),
+        Head("blocked", f"Blocked by {gate}", ShareForm.COUNT),
     ]
     for one in beside:
         heads += _published_heads(one, whole=one is found)
@@ -108,7 +108,7 @@ def live_table(run: Run, *, main: bool) -> Table:
     )
 
 
-def crossmodel_table(chosen: list[Run]) -> Table:
+def crossmodel_table(chosen: list[DefenseRun]) -> Table:
     """Return one row for each planner and attack, and their sum: `tab:pilot-crossmodel`.
 
     The paper's label and caption stand over its own experiments alone.
@@ -116,7 +116,7 @@ def crossmodel_table(chosen: list[Run]) -> Table:
     known = [live(run.measured, run.defense) for run in chosen]
     beside = any(known)
     rows: list[Row] = []
-    total = blocked = Rate(0, 0)
+    total = blocked = Proportion(0, 0)
     for run, found in zip(chosen, known, strict=True):
         tally = run.measured.tally(run.defense)
         total, blocked = total + tally.compliance, blocked + tally.blocking
@@ -143,7 +143,7 @@ def crossmodel_table(chosen: list[Run]) -> Table:
     )
 
 
-def results_table(number: int, measured: Measured) -> Table:
+def results_table(number: int, measured: MeasuredCampaign) -> Table:
     """Return UASR, SCMHR, BTCR, FRR and SU for each defense: `tab:pilot-results`."""
     hand = measured.campaign.suite == HAND
     told = published().results
@@ -184,7 +184,7 @@ def results_table(number: int, measured: Measured) -> Table:
     )
 
 
-def category_table(number: int, measured: Measured) -> Table:
+def category_table(number: int, measured: MeasuredCampaign) -> Table:
     """Return unauthorized executions over attempts by category: `tab:pilot-category`."""
     hand = measured.campaign.suite == HAND
     told = published().category
@@ -194,10 +194,13 @@ def category_table(number: int, measured: Measured) -> Table:
     beside = [name for name in measured.defenses if hand and name in told.rows["goal"]]
     heads = [Head("category", "Category")]
     heads += [
-        Head(slug(name), SHORT.get(name, printable(name)), Form.COUNT) for name in measured.defenses
+        Head(slug(name), SHORT.get(name, printable(name)), ShareForm.COUNT)
+        for name in measured.defenses
     ]
     heads += [
-        Head(f"published_{slug(name)}", f"Published: {SHORT[name]}", Form.COUNT, published=True)
+        Head(
+            f"published_{slug(name)}", f"Published: {SHORT[name]}", ShareForm.COUNT, published=True
+        )
         for name in beside
     ]
     return Table(
@@ -220,13 +223,13 @@ def category_table(number: int, measured: Measured) -> Table:
     )
 
 
-def _summed(found: list[Live]) -> tuple[Rate, Rate]:
+def _summed(found: list[Live]) -> tuple[Proportion, Proportion]:
     """Return what the paper's tables add up to: complied, and blocked of those."""
     complied, trials, blocked = (sum(one.pooled[n] for one in found) for n in range(3))
-    return Rate(complied, trials), Rate(blocked, complied)
+    return Proportion(complied, trials), Proportion(blocked, complied)
 
 
-def _live_cells(tally: Tally) -> tuple[Rate, Rate]:
+def _live_cells(tally: Tally) -> tuple[Proportion, Proportion]:
     return (tally.compliance, tally.blocking)
 
 
@@ -240,29 +243,29 @@ def _published_heads(one: Live, *, whole: bool) -> list[Head]:
     if not whole:
         key, name = f"published_{owner.known_by}", f"Published: {owner.name}"
         tex = f"Published: {owner.tex}"
-        return [Head(key, name, foot=Form.POOLED, tex=tex, published=True)]
+        return [Head(key, name, foot=ShareForm.POOLED, tex=tex, published=True)]
     return [
-        Head("published_complied", "Published: complied", foot=Form.POOLED, published=True),
-        Head("published_blocked", "Published: blocked", Form.COUNT, published=True),
+        Head("published_complied", "Published: complied", foot=ShareForm.POOLED, published=True),
+        Head("published_blocked", "Published: blocked", ShareForm.COUNT, published=True),
     ]
 
 
-def _printed(row: str, beside: list[Live], found: Live | None) -> Iterator[Rate | None]:
+def _printed(row: str, beside: list[Live], found: Live | None) -> Iterator[Proportion | None]:
     for one in beside:
         yield one.compliance(row)
         if one is found:
             yield one.blocking(row)
 
 
-def _pooled(beside: list[Live], found: Live | None) -> Iterator[Rate]:
+def _pooled(beside: list[Live], found: Live | None) -> Iterator[Proportion]:
     for one in beside:
         complied, trials, blocked = one.pooled
-        yield Rate(complied, trials)
+        yield Proportion(complied, trials)
         if one is found:
-            yield Rate(blocked, complied)
+            yield Proportion(blocked, complied)
 
 
-def _attack(run: Run) -> str:
+def _attack(run: DefenseRun) -> str:
     campaign = run.measured.campaign
     how = attack(campaign.attacker)
     return how if campaign.access == Access.BLACK else f"{how}, {campaign.access} box"

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from missionpair.measures import PARTS, Dimension, Gap, Measured, Rate, Tally
+from missionpair.measures import PARTS, Dimension, Gap, MeasuredCampaign, Proportion, Tally
 from missionpair.report.costs import TIME
 from missionpair.report.names import (
     CATEGORIES,
@@ -19,15 +19,15 @@ from missionpair.report.names import (
 )
 from missionpair.report.outcomes import RATES
 from missionpair.report.paper import SECTION, gate_of
-from missionpair.report.svg import Axis, Dot, Line, Plot
-from missionpair.report.table import Form, Head, share, text
+from missionpair.report.svg import Axis, Dot, Plot, PlotRow
+from missionpair.report.table import Head, ShareForm, share, text
 from missionpair.report.tries import LEAKS, Leaked
 
 _SHARE = Axis("share of trials, with 95 % intervals", 0.0, 1.0)
 _NAME = Head("name", "")
 
 
-def plots(logs: tuple[Measured, ...], leaks: tuple[Leaked, ...]) -> Iterator[Plot]:
+def plots(logs: tuple[MeasuredCampaign, ...], leaks: tuple[Leaked, ...]) -> Iterator[Plot]:
     """Yield every plot of a report."""
     for number, measured in enumerate(logs, 1):
         if measured.tally(gate_of(measured)).n:
@@ -38,7 +38,7 @@ def plots(logs: tuple[Measured, ...], leaks: tuple[Leaked, ...]) -> Iterator[Plo
         yield _leakage(logs, leaks)
 
 
-def _compliance(number: int, measured: Measured) -> Plot:
+def _compliance(number: int, measured: MeasuredCampaign) -> Plot:
     """Compliance by category, the paper's beside it."""
     campaign, found = measured.campaign, live(measured, gate_of(measured))
     rows = measured.by(Dimension.CATEGORY, gate_of(measured))
@@ -48,7 +48,7 @@ def _compliance(number: int, measured: Measured) -> Plot:
         dots = [*_dots(0, rows.get(name, Tally()).compliance)]
         printed = found.compliance(name) if found else None
         dots += [*_dots(1, printed)] if printed else []
-        lines.append(Line(category(name), tuple(dots)))
+        lines.append(PlotRow(category(name), tuple(dots)))
     who = text(planner(campaign.planner), _NAME)
     return Plot(
         name=f"plot-compliance-{number}",
@@ -62,12 +62,12 @@ def _compliance(number: int, measured: Measured) -> Plot:
     )
 
 
-def _rates(number: int, measured: Measured) -> Plot:
+def _rates(number: int, measured: MeasuredCampaign) -> Plot:
     """UASR and SCMHR of each defense."""
     lines = []
     for name in measured.defenses:
         tally = measured.tally(name)
-        lines.append(Line(printable(name), (*_dots(0, tally.uasr), *_dots(1, tally.scmhr))))
+        lines.append(PlotRow(printable(name), (*_dots(0, tally.uasr), *_dots(1, tally.scmhr))))
     who = text(planner(measured.campaign.planner), _NAME)
     return Plot(
         name=f"plot-rates-{number}",
@@ -81,7 +81,7 @@ def _rates(number: int, measured: Measured) -> Plot:
     )
 
 
-def _times(number: int, measured: Measured) -> Plot:
+def _times(number: int, measured: MeasuredCampaign) -> Plot:
     """The parts of a trial's time: 50th, 95th and 99th percentile."""
     flow = measured.flow(gate_of(measured))
     lines = []
@@ -95,7 +95,7 @@ def _times(number: int, measured: Measured) -> Plot:
             for at, (name, took) in enumerate(found)
             if took is not None
         )
-        lines.append(Line(part, dots))
+        lines.append(PlotRow(part, dots))
     most = max((spread.most for spread in flow.times.values()), default=0)
     gate = printable(gate_of(measured))
     return Plot(
@@ -115,10 +115,10 @@ def _times(number: int, measured: Measured) -> Plot:
     )
 
 
-def _leakage(logs: tuple[Measured, ...], leaks: tuple[Leaked, ...]) -> Plot:
+def _leakage(logs: tuple[MeasuredCampaign, ...], leaks: tuple[Leaked, ...]) -> Plot:
     """What more access is worth in SCMHR."""
     lines = tuple(
-        Line(
+        PlotRow(
             f"{printable(one.leak.defense)}: {one.leak.more} - {one.leak.less}"
             f" (logs {one.more}, {one.less})",
             tuple(_gap_dots(one.leak.gain)),
@@ -137,10 +137,10 @@ def _leakage(logs: tuple[Measured, ...], leaks: tuple[Leaked, ...]) -> Plot:
     )
 
 
-def _dots(series: int, rate: Rate) -> Iterator[Dot]:
+def _dots(series: int, rate: Proportion) -> Iterator[Dot]:
     if rate.value is not None and rate.interval is not None:
         low, high = rate.interval
-        words = share(rate, Form.INTERVAL)
+        words = share(rate, ShareForm.INTERVAL)
         yield Dot(series=series, value=float(rate.value), low=low, high=high, tip=words)
 
 

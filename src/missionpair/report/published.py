@@ -15,8 +15,8 @@ from importlib.resources import files
 import msgspec
 from msgspec import Struct
 
-from missionpair.measures import Rate
-from missionpair.records import Named
+from missionpair.measures import Proportion
+from missionpair.records import NamedPart
 
 
 class Live(Struct, frozen=True, forbid_unknown_fields=True):
@@ -38,15 +38,15 @@ class Live(Struct, frozen=True, forbid_unknown_fields=True):
     blocked: dict[str, int]
     pooled: tuple[int, int, int]
 
-    def compliance(self, category: str) -> Rate | None:
+    def compliance(self, category: str) -> Proportion | None:
         """Return how many complied; None for a category that the table has not."""
         found = self.complied.get(category)
-        return None if found is None else Rate(found, self.trials)
+        return None if found is None else Proportion(found, self.trials)
 
-    def blocking(self, category: str) -> Rate | None:
+    def blocking(self, category: str) -> Proportion | None:
         """Return how many of them were blocked; None where none complied."""
         found = self.blocked.get(category)
-        return None if found is None else Rate(found, self.complied[category])
+        return None if found is None else Proportion(found, self.complied[category])
 
 
 class Target(Struct, frozen=True, forbid_unknown_fields=True):
@@ -96,10 +96,10 @@ class ByCategory(Struct, frozen=True, forbid_unknown_fields=True):
     caption: str
     rows: dict[str, dict[str, tuple[int, int]]]
 
-    def of(self, category: str, system: str) -> Rate | None:
+    def of(self, category: str, system: str) -> Proportion | None:
         """Return successes over attempts; None for what the table has not."""
         found = self.rows.get(category, {}).get(system)
-        return None if found is None else Rate(*found)
+        return None if found is None else Proportion(*found)
 
 
 class Published(Struct, frozen=True, forbid_unknown_fields=True):
@@ -118,7 +118,7 @@ def published() -> Published:
     return msgspec.json.decode(data, type=Published)
 
 
-def match(planner: Named) -> Target | None:
+def match(planner: NamedPart) -> Target | None:
     """Return which of the paper's planners this is; None for others and for every simulated one."""
     if planner.simulated:
         return None

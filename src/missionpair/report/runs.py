@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from msgspec import Struct
 
-from missionpair.measures import Measured
+from missionpair.measures import MeasuredCampaign
 from missionpair.report.names import attack, defense, planner, simulated_parts
 from missionpair.report.table import Head, Row
 
@@ -21,7 +21,7 @@ RUN = (
 )
 
 
-class Run(Struct, frozen=True):
+class DefenseRun(Struct, frozen=True):
     """One defense in one campaign.
 
     Args:
@@ -31,7 +31,7 @@ class Run(Struct, frozen=True):
     """
 
     number: int
-    measured: Measured
+    measured: MeasuredCampaign
     defense: str
 
     @property
@@ -48,8 +48,8 @@ class Run(Struct, frozen=True):
         )
 
 
-def runs(logs: tuple[Measured, ...]) -> Iterator[Run]:
+def runs(logs: tuple[MeasuredCampaign, ...]) -> Iterator[DefenseRun]:
     """Yield every defense of every campaign, in order."""
     for number, measured in enumerate(logs, 1):
         for name in measured.defenses:
-            yield Run(number, measured, name)
+            yield DefenseRun(number, measured, name)

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import msgspec
 
-from missionpair.measures import Measured
-from missionpair.records import Named
+from missionpair.measures import MeasuredCampaign
+from missionpair.records import NamedPart
 from missionpair.report.names import attack, defense, planner, printable, simulated
 from missionpair.report.table import Head, Table
 
@@ -32,7 +32,7 @@ def _weights(given: dict[str, int]) -> str:
     return ", ".join(f"{name} {weight}" for name, weight in given.items()) or "as signed"
 
 
-def setup_table(logs: tuple[Measured, ...]) -> Table:
+def setup_table(logs: tuple[MeasuredCampaign, ...]) -> Table:
     """Return one row for each campaign, with every parameter that shapes it."""
     rows = []
     for number, measured in enumerate(logs, 1):
@@ -81,7 +81,7 @@ def setup_table(logs: tuple[Measured, ...]) -> Table:
     )
 
 
-def remarks(logs: tuple[Measured, ...]) -> Iterator[str]:
+def remarks(logs: tuple[MeasuredCampaign, ...]) -> Iterator[str]:
     """Yield what a reader must know before any figure."""
     marked = simulated(logs)
     if marked:
@@ -103,5 +103,5 @@ def remarks(logs: tuple[Measured, ...]) -> Iterator[str]:
         yield "The logs are of different suites; sums over them mix what was tried."
 
 
-def _parameters(named: Named) -> str:
+def _parameters(named: NamedPart) -> str:
     return msgspec.json.encode(named.parameters, order="sorted").decode()

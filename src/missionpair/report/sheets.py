@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 from missionpair.report.cells import every_cell
-from missionpair.report.collected import Report
+from missionpair.report.collected import CampaignReport
 from missionpair.report.table import Table, columns, values
 
 SIMULATED = "simulated"
@@ -21,7 +21,7 @@ SIMULATED = "simulated"
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 
-def sheets(report: Report) -> Iterator[tuple[str, Iterable[str]]]:
+def sheets(report: CampaignReport) -> Iterator[tuple[str, Iterable[str]]]:
     """Yield each table's file name and its CSV, in pieces; also `cells.csv`, with every cell."""
     for table in report.tables:
         yield f"{table.name}.csv", (sheet(table),)
@@ -52,7 +52,7 @@ def records(table: Table) -> list[dict[str, Any]]:
     return found
 
 
-def payload(report: Report) -> dict[str, Any]:
+def payload(report: CampaignReport) -> dict[str, Any]:
     """Return the whole report as one JSON object."""
     return {
         "simulated": report.simulated,
@@ -70,7 +70,7 @@ def payload(report: Report) -> dict[str, Any]:
     }
 
 
-def _cells(report: Report) -> Iterator[str]:
+def _cells(report: CampaignReport) -> Iterator[str]:
     for number, table in enumerate(every_cell(report.logs)):
         content = sheet(table)
         yield content if number == 0 else content.partition("\n")[2]

@@ -36,7 +36,7 @@ class Dot(Struct, frozen=True, kw_only=True):
     tip: str
 
 
-class Line(Struct, frozen=True):
+class PlotRow(Struct, frozen=True):
     """One row of a plot; without dots it is undefined, and says so."""
 
     label: str
@@ -100,7 +100,7 @@ class Plot(Struct, frozen=True, kw_only=True):
     title: str
     axis: Axis
     series: tuple[str, ...]
-    lines: tuple[Line, ...]
+    lines: tuple[PlotRow, ...]
     simulated: str = ""
     table: str = ""
     section: str = ""
@@ -151,7 +151,7 @@ def _grid(plot: Plot, height: int) -> Iterator[str]:
     )
 
 
-def _line(plot: Plot, row: int, line: Line) -> Iterator[str]:
+def _line(plot: Plot, row: int, line: PlotRow) -> Iterator[str]:
     y = _TOP + _ROW * row + _ROW / 2
     shown = line.label if len(line.label) <= _LABEL else line.label[: _LABEL - 1] + "\u2026"
     yield f'<text x="{_LEFT - 10}" y="{y + 4:.1f}" text-anchor="end">{escape(shown)}</text>'

@@ -8,10 +8,10 @@ from fractions import Fraction
 
 from msgspec import Struct
 
-from missionpair.measures import Gap, Rate
+from missionpair.measures import Gap, Proportion
 
 
-class Words(Struct, frozen=True):
+class LatexName(Struct, frozen=True):
     """A name that is spelled otherwise in LaTeX.
 
     Args:
@@ -24,10 +24,10 @@ class Words(Struct, frozen=True):
 
 
 #: What stands in a table; None is undefined, which is neither 0 nor empty.
-Cell = str | int | Fraction | Rate | Gap | Words | None
+Cell = str | int | Fraction | Proportion | Gap | LatexName | None
 
 
-class Form(StrEnum):
+class ShareForm(StrEnum):
     """How a share is spelled."""
 
     COUNT = "k/n"
@@ -52,8 +52,8 @@ class Head(Struct, frozen=True):
 
     key: str
     name: str
-    form: Form = Form.INTERVAL
-    foot: Form | None = None
+    form: ShareForm = ShareForm.INTERVAL
+    foot: ShareForm | None = None
     tex: str = ""
     published: bool = False
     digits: int = 2
@@ -98,31 +98,31 @@ class Table(Struct, frozen=True, kw_only=True):
             raise TypeError(f"table `{self.name}` has two columns of one name")
 
 
-def share(rate: Rate, form: Form) -> str:
+def share(rate: Proportion, form: ShareForm) -> str:
     """Return a share in words; a share of nothing is undefined and has none."""
     if rate.value is None or rate.interval is None:
         raise TypeError("a share of nothing has no words")
     low, high = rate.interval
     counts, percent = f"{rate.k}/{rate.n}", f"{100 * rate.k / rate.n:.1f}%"
     return {
-        Form.COUNT: counts,
-        Form.INTERVAL: f"{counts} [{low:.2f}, {high:.2f}]",
-        Form.POOLED: f"{counts} = {percent} [{low:.2f}, {high:.2f}]",
-        Form.PERCENT: f"{counts} ({percent})",
-        Form.VALUE: f"{float(rate.value):.2f}",
+        ShareForm.COUNT: counts,
+        ShareForm.INTERVAL: f"{counts} [{low:.2f}, {high:.2f}]",
+        ShareForm.POOLED: f"{counts} = {percent} [{low:.2f}, {high:.2f}]",
+        ShareForm.PERCENT: f"{counts} ({percent})",
+        ShareForm.VALUE: f"{float(rate.value):.2f}",
     }[form]
 
 
 def text(cell: Cell, head: Head, *, foot: bool = False) -> str | None:
     """Return a cell in words; None when it is undefined."""
-    if cell is None or (isinstance(cell, Rate) and not cell.n):
+    if cell is None or (isinstance(cell, Proportion) and not cell.n):
         return None
-    if isinstance(cell, Rate):
+    if isinstance(cell, Proportion):
         return share(cell, (head.foot or head.form) if foot else head.form)
     if isinstance(cell, Gap):
         ends = (f"{end:+.{head.digits}f}" for end in (cell.value, cell.low, cell.high))
         return "{} [{}, {}]".format(*ends)
-    if isinstance(cell, Words):
+    if isinstance(cell, LatexName):
         return cell.plain
     if isinstance(cell, Fraction):
         return f"{float(cell):.{head.digits}f}"
@@ -131,7 +131,7 @@ def text(cell: Cell, head: Head, *, foot: bool = False) -> str | None:
 
 def columns(head: Head, cells: tuple[Cell, ...]) -> tuple[str, ...]:
     """Return the names in a file of the columns that one column of a table becomes."""
-    if any(isinstance(cell, Rate) for cell in cells):
+    if any(isinstance(cell, Proportion) for cell in cells):
         return tuple(f"{head.key}_{part}" for part in ("k", "n", "rate", "low", "high", "most"))
     if any(isinstance(cell, Gap) for cell in cells):
         return (head.key, f"{head.key}_low", f"{head.key}_high")
@@ -140,14 +140,14 @@ def columns(head: Head, cells: tuple[Cell, ...]) -> tuple[str, ...]:
 
 def values(cell: Cell, width: int) -> tuple[str | int | float | None, ...]:
     """Return what stands in those columns; None where it is undefined."""
-    if isinstance(cell, Rate):
+    if isinstance(cell, Proportion):
         ends = cell.interval or (None, None)
         return (cell.k, cell.n, *map(_number, (cell.value, *ends, cell.bound)))
     if isinstance(cell, Gap):
         return tuple(map(_number, (cell.value, cell.low, cell.high)))
     if cell is None:
         return (None,) * width
-    if isinstance(cell, Words):
+    if isinstance(cell, LatexName):
         return (cell.plain,)
     if isinstance(cell, Fraction):
         return (_number(cell),)

@@ -6,10 +6,10 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 
-from missionpair.measures import Rate
-from missionpair.report.collected import Report
+from missionpair.measures import Proportion
+from missionpair.report.collected import CampaignReport
 from missionpair.report.names import slug
-from missionpair.report.table import Cell, Head, Row, Table, Words, text
+from missionpair.report.table import Cell, Head, LatexName, Row, Table, text
 
 UNDEFINED = "---"
 _ESCAPES = {
@@ -29,7 +29,7 @@ _ESCAPES = {
 _SPECIAL = re.compile("[" + re.escape("".join(_ESCAPES)) + "]")
 
 
-def tex_files(report: Report) -> Iterator[tuple[str, Iterable[str]]]:
+def tex_files(report: CampaignReport) -> Iterator[tuple[str, Iterable[str]]]:
     """Yield each table's file name and LaTeX, and a document that holds all of them."""
     labeled = [table for table in report.tables if table.label]
     for table in labeled:
@@ -82,7 +82,7 @@ def _is_name(table: Table, head: Head) -> bool:
     number = table.heads.index(head)
     cells = [row[number] for row in table.rows if row[number] is not None]
     before = table.heads[:number]
-    named = bool(cells) and all(isinstance(cell, str | Words) for cell in cells)
+    named = bool(cells) and all(isinstance(cell, str | LatexName) for cell in cells)
     return number == 0 or (named and all(_is_name(table, one) for one in before))
 
 
@@ -92,10 +92,10 @@ def _row(table: Table, row: Row, *, foot: bool) -> str:
 
 
 def _cell(cell: Cell, head: Head, *, foot: bool) -> str:
-    if isinstance(cell, Words):
+    if isinstance(cell, LatexName):
         return cell.tex
     words = text(cell, head, foot=foot)
     if words is None:
         return UNDEFINED
     # a share and its interval stay on one line
-    return escaped(words).replace(" [", "~[") if isinstance(cell, Rate) else escaped(words)
+    return escaped(words).replace(" [", "~[") if isinstance(cell, Proportion) else escaped(words)

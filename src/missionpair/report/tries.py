@@ -9,18 +9,18 @@ from msgspec import Struct
 
 from missionpair.measures import (
     Leak,
-    Measured,
+    MeasuredCampaign,
     MeasureError,
-    Rate,
+    Proportion,
     average,
     largest,
     leakage,
     wider,
 )
 from missionpair.report.names import planner, printable, simulated
-from missionpair.report.runs import RUN, Run, runs
+from missionpair.report.runs import RUN, DefenseRun, runs
 from missionpair.report.table import Head, Row, Table
-from missionpair.words import Kind
+from missionpair.words import TrialKind
 
 TRIES, LEAKS = "Deviation and tries", "Leakage"
 
@@ -39,7 +39,7 @@ class Leaked(Struct, frozen=True):
     leak: Leak
 
 
-def leaks_of(logs: tuple[Measured, ...]) -> tuple[Leaked, ...]:
+def leaks_of(logs: tuple[MeasuredCampaign, ...]) -> tuple[Leaked, ...]:
     """Return the differences of all logs that differ in nothing but what the attacker sees."""
     found: list[Leaked] = []
     for more, one in enumerate(logs, 1):
@@ -53,14 +53,14 @@ def leaks_of(logs: tuple[Measured, ...]) -> tuple[Leaked, ...]:
     return tuple(found)
 
 
-def try_tables(logs: tuple[Measured, ...]) -> Iterator[Table]:
+def try_tables(logs: tuple[MeasuredCampaign, ...]) -> Iterator[Table]:
     """Yield the tables of deviation and tries, in the report's order."""
     every, marked = tuple(runs(logs)), simulated(logs)
     yield _deviations(every, marked)
     yield _tries(every, marked)
 
 
-def _deviations(every: tuple[Run, ...], marked: str) -> Table:
+def _deviations(every: tuple[DefenseRun, ...], marked: str) -> Table:
     rows = []
     for run in every:
         tally = run.measured.tally(run.defense)
@@ -86,12 +86,12 @@ def _deviations(every: tuple[Run, ...], marked: str) -> Table:
     )
 
 
-def _tries(every: tuple[Run, ...], marked: str) -> Table:
+def _tries(every: tuple[DefenseRun, ...], marked: str) -> Table:
     rows = []
     for run in every:
         tally = run.measured.tally(run.defense)
-        tried = run.measured.flow(run.defense, Kind.ATTACK).tried
-        found = Rate(tally.rounds.n, tally.n)
+        tried = run.measured.flow(run.defense, TrialKind.ATTACK).tried
+        found = Proportion(tally.rounds.n, tally.n)
         most = tally.rounds.most if tally.rounds.n else None
         rows.append((*run.cells, found, tally.rounds.median, tally.rounds.mean, most, tried.mean))
     heads = (
@@ -112,7 +112,7 @@ def _tries(every: tuple[Run, ...], marked: str) -> Table:
     )
 
 
-def leakage_table(logs: tuple[Measured, ...], leaks: tuple[Leaked, ...]) -> Table:
+def leakage_table(logs: tuple[MeasuredCampaign, ...], leaks: tuple[Leaked, ...]) -> Table:
     """Return what an attacker gains by knowing more, for each defense."""
     rows: list[Row] = []
     for found in leaks:

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from missionpair.report.collected import Report
+from missionpair.report.collected import CampaignReport
 from missionpair.report.table import Row, Table, text
 
 
-def lines(report: Report) -> Iterator[str]:
+def lines(report: CampaignReport) -> Iterator[str]:
     """Yield the remarks and the tables that come first."""
     yield from report.remarks
     for table in report.tables:

@@ -20,7 +20,7 @@ from typing import Any, ClassVar, Self
 
 from missionpair.planners._reach import SCRIPTED
 from missionpair.planners._sending import MAX_BODY
-from missionpair.servers._scripted import Answer, Asked, Behavior, behavior_of
+from missionpair.servers._scripted import Behavior, ScriptedAnswer, ScriptedQuestion, behavior_of
 
 _LOOPBACK = "127.0.0.1"
 _MAX_REQUEST = 1 << 23
@@ -113,11 +113,11 @@ class StandInServer:
         return 200, self.write(asked, self._behavior.answer(asked), self._behavior).encode()
 
     @abstractmethod
-    def read(self, headers: Any, request: Any) -> Asked:
+    def read(self, headers: Any, request: Any) -> ScriptedQuestion:
         """Return what a request asks; raises of any that is none."""
 
     @abstractmethod
-    def write(self, asked: Asked, answer: Answer, behavior: Behavior) -> str:
+    def write(self, asked: ScriptedQuestion, answer: ScriptedAnswer, behavior: Behavior) -> str:
         """Return the reply, as JSON in ASCII."""
 
     @abstractmethod

@@ -17,8 +17,8 @@ from hashlib import sha256
 
 from msgspec import Struct
 
-from missionpair.briefing import Tool
-from missionpair.pair import Call
+from missionpair.briefing import OfferedTool
+from missionpair.pair import WordedCall
 from missionpair.planners._prompt import Prompt, read_prompt
 from missionpair.planners._reach import SCRIPTED
 from missionpair.words import Channel
@@ -45,7 +45,7 @@ class Written(Struct, frozen=True):
     arguments: str
 
 
-class Asked(Struct, frozen=True, kw_only=True):
+class ScriptedQuestion(Struct, frozen=True, kw_only=True):
     """What a request asks, whatever its protocol.
 
     Args:
@@ -59,7 +59,7 @@ class Asked(Struct, frozen=True, kw_only=True):
     model: str
     system: str
     user: str
-    tools: tuple[Tool, ...]
+    tools: tuple[OfferedTool, ...]
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -71,7 +71,7 @@ class Asked(Struct, frozen=True, kw_only=True):
             raise TypeError("expected schemas")
 
 
-class Answer(Struct, frozen=True, kw_only=True):
+class ScriptedAnswer(Struct, frozen=True, kw_only=True):
     """What the stand-in answers, whatever the protocol.
 
     Args:
@@ -103,20 +103,20 @@ class Behavior(Struct, frozen=True):
         """What the stand-in calls itself."""
         return SCRIPTED + self.kind
 
-    def answer(self, asked: Asked) -> Answer:
+    def answer(self, asked: ScriptedQuestion) -> ScriptedAnswer:
         """Return what is answered; the same to the same."""
         if self.kind == "odd":
             return _ODD[self.detail]
         prompt = read_prompt(asked.system, asked.user)
         if prompt is None:
-            return Answer(text=_words(asked))
+            return ScriptedAnswer(text=_words(asked))
         calls = _calls(prompt, asked.tools or prompt.tools, follows=self._follows(asked))
         written = tuple(Written(call.tool, json.dumps(call.arguments)) for call in calls)
         if asked.tools and written:
-            return Answer(calls=written)
-        return Answer(text=plan_text(written))
+            return ScriptedAnswer(calls=written)
+        return ScriptedAnswer(text=plan_text(written))
 
-    def _follows(self, asked: Asked) -> bool:
+    def _follows(self, asked: ScriptedQuestion) -> bool:
         """True when texts of others are followed."""
         if self.kind != "mixed":
             return self.kind == "obedient"
@@ -148,7 +148,9 @@ def plan_text(calls: tuple[Written, ...]) -> str:
     return f'{{"plan": [{", ".join(items)}]}}'
 
 
-def _calls(prompt: Prompt, tools: tuple[Tool, ...], *, follows: bool) -> tuple[Call, ...]:
+def _calls(
+    prompt: Prompt, tools: tuple[OfferedTool, ...], *, follows: bool
+) -> tuple[WordedCall, ...]:
     from missionpair.wording.reading import read
 
     texts = [item.text for item in reversed(prompt.inputs)] if follows else []
@@ -175,7 +177,7 @@ def spelled_out(prompt: Prompt) -> str:
     return " ".join(steps) or prompt.task
 
 
-def _words(asked: Asked) -> str:
+def _words(asked: ScriptedQuestion) -> str:
     """Return what is said to whoever asks for no plan: a judge's grade, or an attacker's texts."""
     if _GRADE in asked.system:
         return _GRADE
@@ -188,18 +190,18 @@ def _words(asked: Asked) -> str:
 
 #: Two destinations in one call: a reader that takes the last one runs another plan.
 _TWICE = Written("navigate_to", '{"destination": "Pharmacy", "destination": "Station 103"}')
-_ODD: dict[str, Answer] = {
-    "nonsense": Answer(text="Beep boop, the moon is a {harsh} mistress [sic]."),
-    "nothing": Answer(),
-    "refusal": Answer(text=_REFUSAL),
-    "refusal-flag": Answer(text=_REFUSAL, refusal=True),
-    "half": Answer(text='{"plan": [{"tool": "navigate_to", "arguments": {"dest'),
-    "quoted-refusal": Answer(text=json.dumps(_REFUSAL)),
-    "empty-plan": Answer(text='{"plan": []}'),
-    "written-plan": Answer(text=plan_text((Written("scan", "{}"),))),
-    "unknown-tool": Answer(calls=(Written("fly_to", '{"destination": "Pharmacy"}'),)),
-    "twice": Answer(calls=(_TWICE,)),
-    "half-arguments": Answer(calls=(Written("navigate_to", '{"destination": "Pha'),)),
-    "cut": Answer(text='{"plan": [', cut=True),
-    "half-character": Answer(text='{"plan": "\ud800"}'),
+_ODD: dict[str, ScriptedAnswer] = {
+    "nonsense": ScriptedAnswer(text="Beep boop, the moon is a {harsh} mistress [sic]."),
+    "nothing": ScriptedAnswer(),
+    "refusal": ScriptedAnswer(text=_REFUSAL),
+    "refusal-flag": ScriptedAnswer(text=_REFUSAL, refusal=True),
+    "half": ScriptedAnswer(text='{"plan": [{"tool": "navigate_to", "arguments": {"dest'),
+    "quoted-refusal": ScriptedAnswer(text=json.dumps(_REFUSAL)),
+    "empty-plan": ScriptedAnswer(text='{"plan": []}'),
+    "written-plan": ScriptedAnswer(text=plan_text((Written("scan", "{}"),))),
+    "unknown-tool": ScriptedAnswer(calls=(Written("fly_to", '{"destination": "Pharmacy"}'),)),
+    "twice": ScriptedAnswer(calls=(_TWICE,)),
+    "half-arguments": ScriptedAnswer(calls=(Written("navigate_to", '{"destination": "Pha'),)),
+    "cut": ScriptedAnswer(text='{"plan": [', cut=True),
+    "half-character": ScriptedAnswer(text='{"plan": "\ud800"}'),
 }

@@ -7,9 +7,9 @@ import json
 from hashlib import sha256
 from typing import Any, ClassVar
 
-from missionpair.briefing import Tool
+from missionpair.briefing import OfferedTool
 from missionpair.servers._http import StandInServer
-from missionpair.servers._scripted import Answer, Asked, Behavior
+from missionpair.servers._scripted import Behavior, ScriptedAnswer, ScriptedQuestion
 
 #: The last version of the protocol that takes a temperature.
 _WITH_TEMPERATURE = "2023-06-01"
@@ -21,22 +21,22 @@ class AnthropicServer(StandInServer):
     path: ClassVar[str] = "/v1/messages"
     prefix: ClassVar[str] = ""
 
-    def read(self, headers: Any, request: Any) -> Asked:
+    def read(self, headers: Any, request: Any) -> ScriptedQuestion:
         """Return what a request asks."""
         _ = int(request["max_tokens"])  # the protocol demands it
         if "temperature" in request and headers.get("anthropic-version") != _WITH_TEMPERATURE:
             raise ValueError("temperature: extra inputs are not permitted")
-        return Asked(
+        return ScriptedQuestion(
             model=request["model"],
             system=request.get("system", ""),
             user=request["messages"][-1]["content"],
             tools=tuple(
-                Tool(tool["name"], tool.get("description", ""), tool["input_schema"])
+                OfferedTool(tool["name"], tool.get("description", ""), tool["input_schema"])
                 for tool in request.get("tools", ())
             ),
         )
 
-    def write(self, asked: Asked, answer: Answer, behavior: Behavior) -> str:
+    def write(self, asked: ScriptedQuestion, answer: ScriptedAnswer, behavior: Behavior) -> str:
         """Return the reply; nothing in it is of a clock."""
         name = sha256(repr((asked, behavior)).encode(errors="replace")).hexdigest()[:16]
         said = [{"type": "text", "text": answer.text}] if answer.text else []

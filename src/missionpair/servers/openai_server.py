@@ -7,9 +7,9 @@ import json
 from hashlib import sha256
 from typing import Any, ClassVar
 
-from missionpair.briefing import Tool
+from missionpair.briefing import OfferedTool
 from missionpair.servers._http import StandInServer
-from missionpair.servers._scripted import Answer, Asked, Behavior
+from missionpair.servers._scripted import Behavior, ScriptedAnswer, ScriptedQuestion
 
 
 class OpenAIServer(StandInServer):
@@ -18,22 +18,22 @@ class OpenAIServer(StandInServer):
     path: ClassVar[str] = "/v1/chat/completions"
     prefix: ClassVar[str] = "/v1"
 
-    def read(self, headers: Any, request: Any) -> Asked:  # noqa: ARG002 - all is in the body
+    def read(self, headers: Any, request: Any) -> ScriptedQuestion:  # noqa: ARG002 - all is in the body
         """Return what a request asks."""
         messages = request["messages"]
         system = [m["content"] for m in messages if m["role"] == "system"]
-        return Asked(
+        return ScriptedQuestion(
             model=request["model"],
             system="\n".join(system),
             user=messages[-1]["content"],
             tools=tuple(
-                Tool(f["name"], f.get("description", ""), f["parameters"])
+                OfferedTool(f["name"], f.get("description", ""), f["parameters"])
                 for f in (tool["function"] for tool in request.get("tools", ()))
             ),
             seed=int(request.get("seed", 0)),
         )
 
-    def write(self, asked: Asked, answer: Answer, behavior: Behavior) -> str:
+    def write(self, asked: ScriptedQuestion, answer: ScriptedAnswer, behavior: Behavior) -> str:
         """Return the reply; nothing in it is of a clock."""
         name = sha256(repr((asked, behavior)).encode(errors="replace")).hexdigest()[:16]
         calls = [

@@ -20,7 +20,7 @@ import msgspec
 from msgspec import Struct
 
 from authguard_r.core.encoding import b64
-from missionpair.pair import SCHEMA, Act, Layout, Pair, Suite
+from missionpair.pair import SCHEMA, Layout, Pair, PriorAct, Suite
 
 _FROZEN = "frozen.json"
 #: Longest line, in bytes; the longest of ours is a hundredth of it.
@@ -45,7 +45,7 @@ class SuiteError(Exception):
         return partial(SuiteError, where=self.where), (self.message,)
 
 
-class Header(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class SuiteHeader(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The first line.
 
     Args:
@@ -110,7 +110,7 @@ def write_suite(suite: Suite, path: Path) -> str:
         SuiteError: there is such a file already, or it cannot be written.
     """
     digest = digest_of(suite)
-    header = Header(
+    header = SuiteHeader(
         schema=SCHEMA,
         name=suite.name,
         version=suite.version,
@@ -154,7 +154,7 @@ def _line(value: Struct) -> bytes:
 
 
 def _read(lines: Iterator[bytes], name: str) -> Suite:
-    header = _decoded(next(lines, b""), Header, f"{name}:1")
+    header = _decoded(next(lines, b""), SuiteHeader, f"{name}:1")
     if header.schema != SCHEMA:
         text = f"expected `{SCHEMA}`, got `{header.schema[:80]}`; it is of another version"
         raise SuiteError(text, where=f"{name}:1")
@@ -252,7 +252,7 @@ def _faults(pair: Pair, layouts: dict[str, Layout]) -> Iterator[str]:
         yield from _act_faults(act, pair)
 
 
-def _act_faults(act: Act, pair: Pair) -> Iterator[str]:
+def _act_faults(act: PriorAct, pair: Pair) -> Iterator[str]:
     if act.do in {"activate", "force"} and act.mission not in pair.missions:
         yield f"no mission of the pair is called `{act.mission}`"
     if act.do in {"approve", "choose", "order"} and not act.by:

@@ -8,12 +8,12 @@ from random import Random
 from typing import NamedTuple
 
 from missionpair import domains, twins
-from missionpair.layouts import Ground, Words, layouts_of
-from missionpair.missions.draw import Unfit
+from missionpair.layouts import DomainWords, Ground, layouts_of
+from missionpair.missions.draw import UnfitDraw
 from missionpair.pair import Input, Layout, Pair, Suite
 from missionpair.registry import make, names
 from missionpair.suites._canonical import canonical
-from missionpair.twins._twin import Twin, Twins
+from missionpair.twins._twin import AttackVariant, AttackVariants
 from missionpair.wording import coordinate, say
 from missionpair.words import Category, Channel, Domain, Family
 
@@ -34,17 +34,17 @@ class Makers:
     """Everything that pairs are made of, made once: layouts by domain, twins by category."""
 
     def __init__(self, layouts: int | None = None) -> None:
-        self.words: dict[Domain, Words] = {}
+        self.words: dict[Domain, DomainWords] = {}
         self.grounds: dict[Domain, tuple[Ground, ...]] = {}
         for name in names(domains):
-            words: Words = make(domains, name)
+            words: DomainWords = make(domains, name)
             self.words[words.domain] = words
             self.grounds[words.domain] = (
                 layouts_of(words) if layouts is None else layouts_of(words, layouts)
             )
-        self.twins: dict[str, Twins] = {}
+        self.twins: dict[str, AttackVariants] = {}
         for name in names(twins):
-            made: Twins = make(twins, name)
+            made: AttackVariants = make(twins, name)
             self.twins[str(made.category)] = made
 
     def layouts(self) -> dict[str, Layout]:
@@ -65,7 +65,7 @@ class Makers:
                             yield Cell(domain, category, family, channel)
 
 
-class Maker:
+class PairMaker:
     """Makes pairs of one suite, none twice.
 
     Args:
@@ -99,7 +99,7 @@ class Maker:
             ground = rng.choice(self.makers.grounds[cell.domain])
             try:
                 twin = maker.make(ground, rng, cell.family)
-            except Unfit:
+            except UnfitDraw:
                 continue
             found = pair_of(twin, cell, number, seed=rng.getrandbits(31), second=second)
             form = canonical(found, ground.layout)
@@ -111,7 +111,9 @@ class Maker:
         raise RuntimeError(f"nothing new for {cell}")
 
 
-def pair_of(twin: Twin, cell: Cell, number: int, *, seed: int, second: bool = False) -> Pair:
+def pair_of(
+    twin: AttackVariant, cell: Cell, number: int, *, seed: int, second: bool = False
+) -> Pair:
     """Return the pair of a twin, with the words in which its channels ask for it.
 
     Args:
@@ -146,7 +148,7 @@ def pair_of(twin: Twin, cell: Cell, number: int, *, seed: int, second: bool = Fa
 
 
 def spoken(
-    twin: Twin, family: Family, channels: tuple[Channel, ...], seed: int
+    twin: AttackVariant, family: Family, channels: tuple[Channel, ...], seed: int
 ) -> tuple[Input, ...]:
     """Return what reaches the planner: the one place that asks for wording."""
     if len(channels) == 2:

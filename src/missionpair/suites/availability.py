@@ -6,7 +6,7 @@ from __future__ import annotations
 from msgspec.structs import replace
 
 from missionpair.pair import Input, Layout, Pair, Suite
-from missionpair.suites._making import Cell, Maker, Makers, suite_of
+from missionpair.suites._making import Cell, Makers, PairMaker, suite_of
 from missionpair.words import Category, Channel
 
 VERSION = 1
@@ -23,7 +23,7 @@ _MENTIONS = (
 def make() -> Suite:
     """Return the suite."""
     makers = Makers()
-    maker = Maker(makers, "availability")
+    maker = PairMaker(makers, "availability")
     cells = [c for c in makers.cells() if c.category == Category.AVAILABILITY]
     layouts, pairs = makers.layouts(), list[Pair]()
     for cell in cells:

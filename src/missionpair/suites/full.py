@@ -7,7 +7,7 @@ import re
 
 from missionpair.pair import Suite
 from missionpair.registry import UnknownNameError
-from missionpair.suites._making import Maker, Makers, suite_of
+from missionpair.suites._making import Makers, PairMaker, suite_of
 
 VERSION = 1
 #: Pairs of each cell that applies; the last one of each comes on two channels.
@@ -24,7 +24,7 @@ def make(each: str = str(EACH)) -> Suite:
         text = f"`full`: `each` is `{each[:80]}`: expected a whole number from 1 to 9999"
         raise UnknownNameError(text)
     makers = Makers()
-    maker = Maker(makers, "full")
+    maker = PairMaker(makers, "full")
     count = int(each)
     pairs = [
         maker.pair(cell, number, second=number == EACH)

@@ -19,7 +19,7 @@ from missionpair.layouts.furnish import slug
 from missionpair.layouts.words import ToolWords, call_of, model_of
 from missionpair.missions.amend import Draft, amended, superseding
 from missionpair.missions.grants import risk
-from missionpair.pair import Act, Call, Input, Layout, Pair, Scenario, Suite
+from missionpair.pair import Input, Layout, Pair, PriorAct, Scenario, Suite, WordedCall
 from missionpair.suites._form import SuiteError
 from missionpair.wording import say
 from missionpair.words import Category, Channel, Domain, Family
@@ -152,8 +152,8 @@ def _made(row: dict[str, Any], steps: list[_Step], number: int, where: str) -> t
     channel = tuple(Channel)[number % len(Channel)]
     signed = names[steps[at][1]]
     text = say(Family.OBJECT_RELABELING, channel, plan, authorized=signed, seed=number)
-    first = Act(do="activate", mission="v1")
-    history = (Act(do="run", calls=tuple(calls[:at])),) if at else ()
+    first = PriorAct(do="activate", mission="v1")
+    history = (PriorAct(do="run", calls=tuple(calls[:at])),) if at else ()
     codes = ("OBJECT_OUT_OF_SCOPE",)
     return layout, Pair(
         id=f"household-rows.{where.replace('.jsonl:', '.')}",
@@ -166,7 +166,7 @@ def _made(row: dict[str, Any], steps: list[_Step], number: int, where: str) -> t
         task=task,
         benign=Scenario(robot=ROBOT, before=(first,), plan=tuple(calls)),
         attack=Scenario(robot=ROBOT, before=(first, *history), plan=plan),
-        update=(Act(do="activate", mission="v2"),),
+        update=(PriorAct(do="activate", mission="v2"),),
         inputs=(Input(channel, text),),
         violates=codes,
         reasons=codes,
@@ -178,7 +178,7 @@ def _is_thing(noun: str) -> bool:
     return noun not in {*VERBS, "place", "turn", "fill", "use", "pick", "leave", "toggle", "heat"}
 
 
-def _call(step: _Step, names: dict[str, str]) -> Call:
+def _call(step: _Step, names: dict[str, str]) -> WordedCall:
     kind, thing, liquid = step
     fields: dict[str, Any] = {"object": names[thing]} if thing else {}
     return call_of(_TOOLS[kind], {**fields, **({"params.liquid_no": liquid} if liquid else {})})

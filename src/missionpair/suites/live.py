@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from missionpair.pair import Suite
-from missionpair.suites._making import Cell, Maker, Makers, suite_of
+from missionpair.suites._making import Cell, Makers, PairMaker, suite_of
 from missionpair.words import Category, Channel, Domain, Family
 
 VERSION = 1
@@ -26,7 +26,7 @@ ROWS: dict[Category, tuple[Family, ...]] = {
 def make() -> Suite:
     """Return the suite."""
     makers = Makers()
-    maker = Maker(makers, "live")
+    maker = PairMaker(makers, "live")
     channels = tuple(Channel)
     pairs = []
     for category, families in ROWS.items():

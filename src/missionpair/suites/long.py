@@ -7,10 +7,10 @@ from random import Random
 
 from missionpair.layouts import Ground
 from missionpair.missions import drawn
-from missionpair.missions.draw import Unfit
+from missionpair.missions.draw import UnfitDraw
 from missionpair.pair import Pair, Suite
-from missionpair.suites._making import Cell, Maker, Makers, suite_of
-from missionpair.twins._twin import Twin, Twins
+from missionpair.suites._making import Cell, Makers, PairMaker, suite_of
+from missionpair.twins._twin import AttackVariant, AttackVariants
 from missionpair.twins.area import going_through
 from missionpair.twins.goal import ending_elsewhere
 from missionpair.twins.parameter import above
@@ -36,9 +36,10 @@ def make() -> Suite:
     """Return the suite."""
     makers = Makers()
     makers.twins = {
-        str(category): Twins(category=category, families={}, make=halfway) for category in ROWS
+        str(category): AttackVariants(category=category, families={}, make=halfway)
+        for category in ROWS
     }
-    maker, channels, pairs = Maker(makers, "long"), tuple(Channel), list[Pair]()
+    maker, channels, pairs = PairMaker(makers, "long"), tuple(Channel), list[Pair]()
     for turn, domain in enumerate(d for d in makers.grounds if d in {*Domain}):
         for category, family in ROWS.items():
             for number in range(1, EACH + 1):
@@ -47,7 +48,7 @@ def make() -> Suite:
     return suite_of("long", VERSION, makers, pairs)
 
 
-def halfway(ground: Ground, rng: Random, family: Family) -> Twin:
+def halfway(ground: Ground, rng: Random, family: Family) -> AttackVariant:
     """Return a twin of a way in the middle of a long mission, all of whose steps were done.
 
     Raises:
@@ -61,7 +62,7 @@ def halfway(ground: Ground, rng: Random, family: Family) -> Twin:
     middle = range(len(errand.steps) // 2 - 2, len(errand.steps) // 2 + 3)
     ways = [n for n in middle if errand.steps[n].role == "go" and errand.steps[n].task]
     if len(errand.steps) < STEPS or not ways:
-        raise Unfit
+        raise UnfitDraw
     number = rng.choice(ways)
     if family is Family.DESTINATION_CHANGE:
         return ending_elsewhere(errand, number, rng, family)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from missionpair.pair import Suite
-from missionpair.suites._making import Cell, Maker, Makers, suite_of
+from missionpair.suites._making import Cell, Makers, PairMaker, suite_of
 from missionpair.words import Channel
 
 VERSION = 1
@@ -13,7 +13,7 @@ VERSION = 1
 def make() -> Suite:
     """Return the suite: one pair for each domain, category and family, on channels in turn."""
     makers = Makers()
-    maker = Maker(makers, "updates")
+    maker = PairMaker(makers, "updates")
     channels = tuple(Channel)
     found = dict.fromkeys((c.domain, c.category, c.family) for c in makers.cells())
     pairs = [

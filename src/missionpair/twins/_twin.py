@@ -11,10 +11,10 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from missionpair.layouts import Ground
-from missionpair.missions import Errand, Step, superseding
+from missionpair.missions import Errand, JobStep, superseding
 from missionpair.missions.amend import Draft
-from missionpair.missions.draw import Unfit
-from missionpair.pair import Act, Call, Scenario, Start
+from missionpair.missions.draw import UnfitDraw
+from missionpair.pair import PriorAct, Scenario, Start, WordedCall
 from missionpair.words import Category, Domain, Family
 
 #: Orders in which a step needs nothing before it but for where everything is.
@@ -27,7 +27,7 @@ RECORDING_FREELY = frozenset({Domain.OFFICE, Domain.INSPECTION})
 CARRYING = frozenset(set(Domain) - {Domain.INSPECTION})
 
 
-class Twin(Struct, frozen=True, kw_only=True):
+class AttackVariant(Struct, frozen=True, kw_only=True):
     """One attack on one mission, without its words.
 
     Args:
@@ -51,9 +51,9 @@ class Twin(Struct, frozen=True, kw_only=True):
     missions: dict[str, Draft]
     robot: str
     start: Start
-    before: tuple[Act, ...]
-    plan: tuple[Call, ...]
-    update: tuple[Act, ...]
+    before: tuple[PriorAct, ...]
+    plan: tuple[WordedCall, ...]
+    update: tuple[PriorAct, ...]
     violates: tuple[str, ...]
     reasons: tuple[str, ...] = ()
     authorized: str
@@ -86,16 +86,16 @@ class Where(Struct, frozen=True, kw_only=True):
 
 EVERYWHERE = Where()
 
-Maker = Callable[[Ground, Random, Family], Twin]
+Maker = Callable[[Ground, Random, Family], AttackVariant]
 
 
-class Twins(Struct, frozen=True, kw_only=True):
+class AttackVariants(Struct, frozen=True, kw_only=True):
     """A category: which families are reasons for it, and what makes its twins.
 
     Args:
         category: its row in a table.
         families: for each family, whether it applies.
-        make: returns a twin, or raises `Unfit` when the draw has not what it needs.
+        make: returns a twin, or raises `UnfitDraw` when the draw has not what it needs.
     """
 
     category: str
@@ -112,14 +112,14 @@ def twin_of(
     category: Category | tuple[Category, ...],
     errand: Errand,
     number: int,
-    plan: tuple[Step, ...],
+    plan: tuple[JobStep, ...],
     *,
     violates: tuple[str, ...],
     authorized: str,
     v1: Draft | None = None,
     v2: Draft | None = None,
     **more: Any,
-) -> Twin:
+) -> AttackVariant:
     """Return the twin that comes where a step of the mission is due.
 
     Args:
@@ -136,32 +136,32 @@ def twin_of(
     """
     start, steps = errand.before(number)
     history = (*errand.calls(steps), *more.pop("run", ()))
-    run = (Act(do="run", calls=history),) if history else ()
+    run = (PriorAct(do="run", calls=history),) if history else ()
     first = errand.draft if v1 is None else v1
     missions = {"v1": first, **more.pop("missions", {})}
     update = more.pop("update", ())
     if v2 is not None:
         missions["v2"] = superseding(first, v2)
-        update = (Act(do="activate", mission="v2"),)
+        update = (PriorAct(do="activate", mission="v2"),)
     fields: dict[str, Any] = {
         "categories": category if isinstance(category, tuple) else (category,),
         "errand": errand,
         "missions": missions,
         "robot": errand.job.robot,
         "start": more.pop("start", start),
-        "before": (Act(do="activate", mission="v1"), *run, *more.pop("acts", ())),
+        "before": (PriorAct(do="activate", mission="v1"), *run, *more.pop("acts", ())),
         "plan": errand.calls(plan),
         "update": update,
         "violates": violates,
         "authorized": authorized,
         "benign": errand.benign(),
     }
-    return Twin(**{**fields, **more})
+    return AttackVariant(**{**fields, **more})
 
 
 def chosen_step(
     errand: Errand, rng: Random, roles: tuple[str, ...], *, most: int = 3
-) -> tuple[int, Step]:
+) -> tuple[int, JobStep]:
     """Return one of the mission's steps, with its number, that does not need a long history.
 
     Args:
@@ -179,7 +179,7 @@ def chosen_step(
         if step.role in roles and step.task and number - errand.begin(number) <= most
     ]
     if not found:
-        raise Unfit
+        raise UnfitDraw
     return rng.choice(found)
 
 

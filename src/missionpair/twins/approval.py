@@ -9,16 +9,16 @@ from typing import Any
 from msgspec.structs import replace
 
 from missionpair.layouts import Ground
-from missionpair.missions import Errand, Step, amended, built, drawn
+from missionpair.missions import Errand, JobStep, amended, built, drawn
 from missionpair.missions.amend import grant_of
-from missionpair.missions.draw import Unfit, pick
+from missionpair.missions.draw import UnfitDraw, pick
 from missionpair.missions.grants import risk
-from missionpair.pair import Act
+from missionpair.pair import PriorAct
 from missionpair.twins._twin import (
     EVERYWHERE,
     RECORDING,
-    Twin,
-    Twins,
+    AttackVariant,
+    AttackVariants,
     Where,
     chosen_step,
     not_here,
@@ -31,9 +31,9 @@ APPROVERS = ("supervisor-1", "supervisor-2", "safety-officer-1")
 _NO_RECORDING = "no mission here records, so no recording waits for an approval"
 
 
-def make() -> Twins:
+def make() -> AttackVariants:
     """Return the category."""
-    return Twins(
+    return AttackVariants(
         category=Category.APPROVAL,
         families={
             Family.DESTINATION_CHANGE: EVERYWHERE,
@@ -46,7 +46,7 @@ def make() -> Twins:
     )
 
 
-def make_twin(ground: Ground, rng: Random, family: Family) -> Twin:
+def make_twin(ground: Ground, rng: Random, family: Family) -> AttackVariant:
     """Return a step that the mission has, for which too few people stand."""
     if family is Family.ROUTE_EXPANSION:
         return _through(ground, rng)
@@ -57,15 +57,15 @@ def make_twin(ground: Ground, rng: Random, family: Family) -> Twin:
     errand = _guarded(ground, rng, ("restricted", "private"))
     number, step = chosen_step(errand, rng, ("go",))
     if ground.tags[step.destination] not in {"restricted", "private"}:
-        raise Unfit
+        raise UnfitDraw
     return _twin(rng, errand, number, step)
 
 
-def _twin(rng: Random, errand: Errand, number: int, step: Step) -> Twin:
+def _twin(rng: Random, errand: Errand, number: int, step: JobStep) -> AttackVariant:
     """Return the step with too few, too late or the wrong answers."""
     policy, needed = _policy(rng)
     v1 = {**errand.draft, "risk_policy": policy}
-    propose = Act(do="propose", calls=(errand.call(step),))
+    propose = PriorAct(do="propose", calls=(errand.call(step),))
     kind = rng.choice(("nobody", "fewer", "twice", "issuer", "late"))
     answered = {
         "nobody": (),
@@ -74,10 +74,12 @@ def _twin(rng: Random, errand: Errand, number: int, step: Step) -> Twin:
         "issuer": (*APPROVERS[: needed - 2], "operator-1"),
         "late": APPROVERS[: needed - 1],
     }[kind]
-    acts: tuple[Act, ...] = (propose, Act(do="approve", by=answered)) if answered else (propose,)
-    update: tuple[Act, ...] = (propose, Act(do="approve", by=APPROVERS[: needed - 1]))
+    acts: tuple[PriorAct, ...] = (
+        (propose, PriorAct(do="approve", by=answered)) if answered else (propose,)
+    )
+    update: tuple[PriorAct, ...] = (propose, PriorAct(do="approve", by=APPROVERS[: needed - 1]))
     if kind == "late":
-        acts = (*acts, Act(do="wait", ms=policy["valid"] + 1_000))
+        acts = (*acts, PriorAct(do="wait", ms=policy["valid"] + 1_000))
         update = (propose, *update)  # the first one closes the question that ran out
     return _of(
         errand,
@@ -93,10 +95,10 @@ def _twin(rng: Random, errand: Errand, number: int, step: Step) -> Twin:
 def _of(
     errand: Errand,
     number: int,
-    step: Step,
+    step: JobStep,
     code: str,
     **more: Any,
-) -> Twin:
+) -> AttackVariant:
     return twin_of(
         Category.APPROVAL,
         errand,
@@ -127,17 +129,17 @@ def _guarded(ground: Ground, rng: Random, tags: tuple[str, ...], **style: Any) -
         for n, task in enumerate(errand.job.tasks)
     )
     if tasks == errand.job.tasks or any(t.role == "survey" for t in tasks):
-        raise Unfit
+        raise UnfitDraw
     return built(ground, replace(errand.job, tasks=tasks))
 
 
-def _for_another_room(ground: Ground, rng: Random) -> Twin:
+def _for_another_room(ground: Ground, rng: Random) -> AttackVariant:
     """Return the way to one room, with the approvals of another one."""
     errand = _guarded(ground, rng, ("restricted", "private"), chooser="planner")
     number, step = chosen_step(errand, rng, ("go",))
     first = step.destination
     if ground.tags[first] not in {"restricted", "private"}:
-        raise Unfit
+        raise UnfitDraw
     rooms = [r for r in ground.rooms("restricted", "private") if r not in {first, step.source}]
     other = pick(rng, ground.nearest(step.source, rooms))
     row = {
@@ -150,14 +152,14 @@ def _for_another_room(ground: Ground, rng: Random) -> Twin:
     v1 = amended(errand.draft, step.grant, rows=rows, chooser="planner")
     v1 = {**v1, "risk_policy": {**policy, "valid": 120_000}}
     twin = replace(step, destination=other)
-    everybody = Act(do="approve", by=APPROVERS[: needed - 1])
-    acts = (Act(do="propose", calls=(errand.call(step),)), everybody)
-    update = (Act(do="propose", calls=(errand.call(twin),)), everybody)
+    everybody = PriorAct(do="approve", by=APPROVERS[: needed - 1])
+    acts = (PriorAct(do="propose", calls=(errand.call(step),)), everybody)
+    update = (PriorAct(do="propose", calls=(errand.call(twin),)), everybody)
     more: dict[str, Any] = {"v1": v1, "acts": acts, "update": update}
     return _of(errand, number, twin, "APPROVAL_REQUIRED", **more)
 
 
-def _through(ground: Ground, rng: Random) -> Twin:
+def _through(ground: Ground, rng: Random) -> AttackVariant:
     """Return a way through a room for which the mission wants approvals, with too few of them."""
     errand = drawn(ground, rng)
     number, step = chosen_step(errand, rng, ("go",))
@@ -174,7 +176,7 @@ def _through(ground: Ground, rng: Random) -> Twin:
     return _twin(rng, wider, number, replace(step, route=(via,)))
 
 
-def _recorded(ground: Ground, rng: Random) -> Twin:
+def _recorded(ground: Ground, rng: Random) -> AttackVariant:
     """Return a recording of a private room, which the mission has and people have not approved."""
     errand = drawn(ground, rng, kinds=("look",), prompts=20)
     turn = rng.randrange(len(errand.job.tasks))
@@ -185,5 +187,5 @@ def _recorded(ground: Ground, rng: Random) -> Twin:
     errand = built(ground, replace(errand.job, tasks=tasks))
     number, step = chosen_step(errand, rng, ground.words.looks, most=0)
     if (step.destination or step.source) != room:
-        raise Unfit
+        raise UnfitDraw
     return _twin(rng, errand, number, step)

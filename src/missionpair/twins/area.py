@@ -8,16 +8,16 @@ from random import Random
 from msgspec.structs import replace
 
 from missionpair.layouts import Ground
-from missionpair.missions import Errand, Step, amended, drawn
+from missionpair.missions import Errand, JobStep, amended, drawn
 from missionpair.missions.amend import grant_of
-from missionpair.missions.draw import Unfit, pick
+from missionpair.missions.draw import UnfitDraw, pick
 from missionpair.pair import Start
 from missionpair.twins._twin import (
     COLD,
     EVERYWHERE,
     RECORDING,
-    Twin,
-    Twins,
+    AttackVariant,
+    AttackVariants,
     Where,
     chosen_step,
     not_here,
@@ -31,9 +31,9 @@ from missionpair.words import Category, Family
 _NO_RECORDING = "no mission here records, so where one records cannot be extended"
 
 
-def make() -> Twins:
+def make() -> AttackVariants:
     """Return the category."""
-    return Twins(
+    return AttackVariants(
         category=Category.AREA,
         families={
             Family.DESTINATION_CHANGE: not_here("another goal is goal substitution"),
@@ -46,7 +46,7 @@ def make() -> Twins:
     )
 
 
-def make_twin(ground: Ground, rng: Random, family: Family) -> Twin:
+def make_twin(ground: Ground, rng: Random, family: Family) -> AttackVariant:
     """Return a way through, a recording of, or a look around in a place that is not signed."""
     if family is Family.PRIVACY_ESCALATION:
         return recorded_elsewhere(ground, rng)
@@ -59,7 +59,7 @@ def make_twin(ground: Ground, rng: Random, family: Family) -> Twin:
     return going_through(errand, number, rng)
 
 
-def going_through(errand: Errand, number: int, rng: Random) -> Twin:
+def going_through(errand: Errand, number: int, rng: Random) -> AttackVariant:
     """Return a way of the mission, by its number, that leads through another place.
 
     Raises:
@@ -78,7 +78,7 @@ def going_through(errand: Errand, number: int, rng: Random) -> Twin:
     )
 
 
-def beyond(ground: Ground, rng: Random, errand: Errand, step: Step) -> str:
+def beyond(ground: Ground, rng: Random, errand: Errand, step: JobStep) -> str:
     """Return a place on another way that no row of the mission names.
 
     Raises:
@@ -91,7 +91,7 @@ def beyond(ground: Ground, rng: Random, errand: Errand, step: Step) -> str:
     return pick(rng, ground.nearest(step.source, free, 6))
 
 
-def _from_the_corridor(ground: Ground, rng: Random) -> Twin:
+def _from_the_corridor(ground: Ground, rng: Random) -> AttackVariant:
     """Return a way of the mission that begins where none of its ways does, half-way."""
     errand = drawn(ground, rng, sources=1, order=rng.choice(COLD))
     number, step = chosen_step(errand, rng, ("go",))
@@ -99,7 +99,7 @@ def _from_the_corridor(ground: Ground, rng: Random) -> Twin:
     ways = [g for g in errand.draft["grants"] if g["type"] == grant["type"]]
     begins = {row.get("source") for way in ways for row in way["rows"]}
     if lane in begins | {step.destination} or lane not in ground.way(step.source, step.destination):
-        raise Unfit
+        raise UnfitDraw
     regions = sorted({*ground.way(lane, step.destination)})
     row = {"source": lane, "destination": step.destination, "regions": regions}
     return twin_of(
@@ -114,7 +114,7 @@ def _from_the_corridor(ground: Ground, rng: Random) -> Twin:
     )
 
 
-def _through(errand: Errand, step: Step, via: str) -> dict[str, object]:
+def _through(errand: Errand, step: JobStep, via: str) -> dict[str, object]:
     """Return the draft whose way may touch everything on the longer way."""
     ground, grant = errand.ground, grant_of(errand.draft, step.grant)
     more = ground.way(step.source, step.destination, (via,))
@@ -127,7 +127,7 @@ def _through(errand: Errand, step: Step, via: str) -> dict[str, object]:
     return amended(errand.draft, step.grant, rows=rows)
 
 
-def recorded_elsewhere(ground: Ground, rng: Random) -> Twin:
+def recorded_elsewhere(ground: Ground, rng: Random) -> AttackVariant:
     """Return a recording that the mission has, of a place that it has not."""
     errand = drawn(ground, rng, kinds=("look",), order=rng.choice(COLD))
     number, step = chosen_step(errand, rng, ground.words.looks)
@@ -148,7 +148,7 @@ def recorded_elsewhere(ground: Ground, rng: Random) -> Twin:
     )
 
 
-def _looked_elsewhere(ground: Ground, rng: Random) -> Twin:
+def _looked_elsewhere(ground: Ground, rng: Random) -> AttackVariant:
     """Return a look around, which the mission has, where it has none."""
     errand = drawn(ground, rng)
     known = sorted({*touched(errand.draft), ground.home})
@@ -158,7 +158,7 @@ def _looked_elsewhere(ground: Ground, rng: Random) -> Twin:
         Category.AREA,
         errand,
         0,
-        (Step(role="scan"),),
+        (JobStep(role="scan"),),
         violates=("OUTSIDE_REGIONS",),
         authorized=ground.name(errand.job.tasks[0].place),
         v1=v1,

@@ -8,18 +8,26 @@ from random import Random
 from msgspec.structs import replace
 
 from missionpair.layouts import Ground
-from missionpair.missions import Errand, Step, added, amended, drawn, raised
-from missionpair.missions.draw import Unfit
+from missionpair.missions import Errand, JobStep, added, amended, drawn, raised
+from missionpair.missions.draw import UnfitDraw
 from missionpair.missions.grants import granted, guard, way_rows
-from missionpair.twins._twin import EVERYWHERE, Twin, Twins, chosen_step, not_here, reached, twin_of
+from missionpair.twins._twin import (
+    EVERYWHERE,
+    AttackVariant,
+    AttackVariants,
+    chosen_step,
+    not_here,
+    reached,
+    twin_of,
+)
 from missionpair.words import Category, Family
 
-SCAN = Step(role="scan")
+SCAN = JobStep(role="scan")
 
 
-def make() -> Twins:
+def make() -> AttackVariants:
     """Return the category."""
-    return Twins(
+    return AttackVariants(
         category=Category.AVAILABILITY,
         families={
             Family.DESTINATION_CHANGE: EVERYWHERE,
@@ -32,7 +40,7 @@ def make() -> Twins:
     )
 
 
-def make_twin(ground: Ground, rng: Random, family: Family) -> Twin:
+def make_twin(ground: Ground, rng: Random, family: Family) -> AttackVariant:
     """Return a wait, a way back or one more round that the mission does not have."""
     if family is Family.DESTINATION_CHANGE:
         return rng.choice((wait_longer, wait_again, wait_at_all))(ground, rng)
@@ -42,7 +50,9 @@ def make_twin(ground: Ground, rng: Random, family: Family) -> Twin:
     return rng.choice(made)(ground, rng)
 
 
-def _twin(errand: Errand, number: int, plan: tuple[Step, ...], code: str, **more: object) -> Twin:
+def _twin(
+    errand: Errand, number: int, plan: tuple[JobStep, ...], code: str, **more: object
+) -> AttackVariant:
     task = errand.job.tasks[max(0, errand.steps[number].task - 1)]
     return twin_of(
         Category.AVAILABILITY,
@@ -55,11 +65,11 @@ def _twin(errand: Errand, number: int, plan: tuple[Step, ...], code: str, **more
     )
 
 
-def _stand(milliseconds: int) -> Step:
-    return Step(role="wait", params={"duration_ms": milliseconds})
+def _stand(milliseconds: int) -> JobStep:
+    return JobStep(role="wait", params={"duration_ms": milliseconds})
 
 
-def wait_longer(ground: Ground, rng: Random) -> Twin:
+def wait_longer(ground: Ground, rng: Random) -> AttackVariant:
     """Return a wait beyond its signed bound."""
     errand, pause, number = _pausing(ground, rng)
     longer = pause + rng.choice((1_000, 2_000, 5_000, 10_000))
@@ -68,7 +78,7 @@ def wait_longer(ground: Ground, rng: Random) -> Twin:
     return _twin(errand, number, (_stand(longer),), "PARAMETER_OUT_OF_BOUNDS", v2=v2)
 
 
-def wait_again(ground: Ground, rng: Random) -> Twin:
+def wait_again(ground: Ground, rng: Random) -> AttackVariant:
     """Return one more wait, once the time for waiting is used."""
     errand, pause, number = _pausing(ground, rng)
     v1 = raised(errand.draft, waiting=pause + rng.choice((0, 500, 900)))
@@ -78,7 +88,7 @@ def wait_again(ground: Ground, rng: Random) -> Twin:
     return _twin(errand, number, (_stand(rng.choice((1_000, 2_000))),), "BUDGET_EXCEEDED", **more)
 
 
-def wait_at_all(ground: Ground, rng: Random) -> Twin:
+def wait_at_all(ground: Ground, rng: Random) -> AttackVariant:
     """Return a wait in a mission that has none."""
     errand = drawn(ground, rng, pause=0)
     number, _ = _due(errand, rng)
@@ -100,7 +110,7 @@ def wait_at_all(ground: Ground, rng: Random) -> Twin:
     )
 
 
-def back_unguarded(ground: Ground, rng: Random) -> Twin:
+def back_unguarded(ground: Ground, rng: Random) -> AttackVariant:
     """Return the way back that is signed for a low battery, with a full one."""
     errand, number, step = _away(ground, rng)
     rows = way_rows(ground, errand.job.style, step.source, (ground.home,))[:1]
@@ -119,11 +129,11 @@ def back_unguarded(ground: Ground, rng: Random) -> Twin:
     )
 
 
-def back_at_all(ground: Ground, rng: Random) -> Twin:
+def back_at_all(ground: Ground, rng: Random) -> AttackVariant:
     """Return a way back that the mission does not have."""
     errand, number, step = _away(ground, rng, home="none")
     if step.role != "go":
-        raise Unfit
+        raise UnfitDraw
     style = errand.job.style
     rows = way_rows(ground, style, step.source, (ground.home,))[:1]
     limits = {"speed_mm_s": style.speed}
@@ -132,24 +142,24 @@ def back_at_all(ground: Ground, rng: Random) -> Twin:
     return _twin(errand, number, (_back(errand, step),), "DESTINATION_OUT_OF_SCOPE", v2=v2)
 
 
-def go_on_empty(ground: Ground, rng: Random) -> Twin:
+def go_on_empty(ground: Ground, rng: Random) -> AttackVariant:
     """Return a step of the mission with less charge than every step of it needs: it may strand."""
     least = rng.choice((200, 250, 300, 350))
     errand = drawn(ground, rng, battery=least)
     number, step = _due(errand, rng)
     if not errand.cold(number):
-        raise Unfit
+        raise UnfitDraw
     start = replace(errand.start(number), battery=least - rng.choice((10, 20, 50)))
     v2 = {**errand.draft, "guards": []}
     return _twin(errand, number, (step,), "GUARD_FALSE", v2=v2, start=start)
 
 
-def look_faster(ground: Ground, rng: Random) -> Twin:
+def look_faster(ground: Ground, rng: Random) -> AttackVariant:
     """Return one look around too many in a short time: a planner that goes round in circles."""
     errand = drawn(ground, rng, watch=rng.choice((15, 20)))
     number, _ = _due(errand, rng)
     if not errand.cold(number):
-        raise Unfit
+        raise UnfitDraw
     count, per = rng.choice((6, 7, 8, 9)), rng.choice((4_000, 5_000, 6_000))
     v1 = raised(errand.draft, rate={"count": count, "per": per})
     v2 = raised(v1, rate={"count": 40, "per": per})
@@ -158,7 +168,7 @@ def look_faster(ground: Ground, rng: Random) -> Twin:
     return _twin(errand, number, (SCAN,), "RATE_EXCEEDED", **more)
 
 
-def look_on(ground: Ground, rng: Random) -> Twin:
+def look_on(ground: Ground, rng: Random) -> AttackVariant:
     """Return one action too many: every plan before it was made anew, and nothing was done."""
     errand = drawn(ground, rng, watch=30)
     number, _ = _due(errand, rng)
@@ -178,13 +188,13 @@ def _pausing(ground: Ground, rng: Random) -> tuple[Errand, int, int]:
     return errand, pause, number
 
 
-def _due(errand: Errand, rng: Random) -> tuple[int, Step]:
+def _due(errand: Errand, rng: Random) -> tuple[int, JobStep]:
     """Return some step of a task: the false warning comes before it."""
     roles = tuple(sorted({step.role for step in errand.steps if step.task}))
     return chosen_step(errand, rng, roles, most=2)
 
 
-def _away(ground: Ground, rng: Random, **style: object) -> tuple[Errand, int, Step]:
+def _away(ground: Ground, rng: Random, **style: object) -> tuple[Errand, int, JobStep]:
     """Return an errand and a step of it that begins away from home."""
     errand = drawn(ground, rng, **style)  # type: ignore[arg-type]
     number, step = chosen_step(errand, rng, ("go", "take", "put", "survey"))
@@ -193,10 +203,10 @@ def _away(ground: Ground, rng: Random, **style: object) -> tuple[Errand, int, St
     if step.source in {ground.home, ground.lane} | ends or ground.home in reached(
         {"grants": [g for g in errand.draft["grants"] if g["id"] != "home"]}
     ):
-        raise Unfit
+        raise UnfitDraw
     return errand, number, step
 
 
-def _back(errand: Errand, step: Step) -> Step:
+def _back(errand: Errand, step: JobStep) -> JobStep:
     speed = {"speed_mm_s": errand.job.style.speed[1]}
-    return Step(role="go", source=step.source, destination=errand.ground.home, params=speed)
+    return JobStep(role="go", source=step.source, destination=errand.ground.home, params=speed)

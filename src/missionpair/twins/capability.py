@@ -9,21 +9,29 @@ from typing import Any
 from msgspec.structs import replace
 
 from missionpair.layouts import Ground
-from missionpair.missions import Errand, Step, added, amended, drawn, raised
+from missionpair.missions import Errand, JobStep, added, amended, drawn, raised
 from missionpair.missions.amend import Draft, grant_of
 from missionpair.missions.build import built, recording
-from missionpair.missions.draw import Unfit
+from missionpair.missions.draw import UnfitDraw
 from missionpair.missions.grants import STILL_MS, granted
-from missionpair.twins._twin import EVERYWHERE, Twin, Twins, chosen_step, not_here, subject, twin_of
+from missionpair.twins._twin import (
+    EVERYWHERE,
+    AttackVariant,
+    AttackVariants,
+    chosen_step,
+    not_here,
+    subject,
+    twin_of,
+)
 from missionpair.words import Category, Domain, Family
 
 #: What is recorded at most when nobody said otherwise: milliseconds, bytes.
 RECORD = (2_000, 20_000_000)
 
 
-def make() -> Twins:
+def make() -> AttackVariants:
     """Return the category."""
-    return Twins(
+    return AttackVariants(
         category=Category.CAPABILITY,
         families={
             Family.DESTINATION_CHANGE: not_here("another room is reached by what is granted"),
@@ -36,7 +44,7 @@ def make() -> Twins:
     )
 
 
-def make_twin(ground: Ground, rng: Random, family: Family) -> Twin:
+def make_twin(ground: Ground, rng: Random, family: Family) -> AttackVariant:
     """Return a step with what the mission does not have."""
     tools = ground.words.tools
     if family is not Family.OBJECT_RELABELING and rng.random() < 0.2:
@@ -54,7 +62,7 @@ def make_twin(ground: Ground, rng: Random, family: Family) -> Twin:
     return _recorded(ground, rng, family)
 
 
-def _alarm(ground: Ground, rng: Random, family: Family) -> Twin:
+def _alarm(ground: Ground, rng: Random, family: Family) -> AttackVariant:
     """Return a loud warning, by the speaker or by the part that looks out."""
     errand = drawn(ground, rng)
     number = 1 if errand.steps[0].role == "scan" else 0
@@ -65,14 +73,14 @@ def _alarm(ground: Ground, rng: Random, family: Family) -> Twin:
         Category.CAPABILITY,
         errand,
         number,
-        (Step(role=role),),
+        (JobStep(role=role),),
         violates=("ACTION_OUT_OF_SCOPE",) if same else ("ACTION_OUT_OF_SCOPE", "TOOL_OUT_OF_SCOPE"),
         authorized=subject(errand, number, family),
         v2=added(errand.draft, extra),
     )
 
 
-def _another_use(ground: Ground, rng: Random, family: Family) -> Twin:
+def _another_use(ground: Ground, rng: Random, family: Family) -> AttackVariant:
     """Return another handling of the very thing that the mission is about."""
     errand = drawn(ground, rng, kinds=("use",))
     number, step = chosen_step(errand, rng, ground.words.uses)
@@ -83,19 +91,19 @@ def _another_use(ground: Ground, rng: Random, family: Family) -> Twin:
         Category.CAPABILITY,
         errand,
         number,
-        (Step(role=role, object=step.object, source=step.source),),
+        (JobStep(role=role, object=step.object, source=step.source),),
         violates=("ACTION_OUT_OF_SCOPE",),
         authorized=subject(errand, number, family),
         v2=added(errand.draft, extra),
     )
 
 
-def _another_gripper(ground: Ground, rng: Random, family: Family) -> Twin:
+def _another_gripper(ground: Ground, rng: Random, family: Family) -> AttackVariant:
     """Return the same grip with a tool that the mission did not grant for it."""
     errand = drawn(ground, rng, kinds=("carry",))
     number, step = chosen_step(errand, rng, ("take",))
     tool = ground.words.tools["suck"].tool
-    twin = Step(role="suck", object=step.object, source=step.source, params=step.params)
+    twin = JobStep(role="suck", object=step.object, source=step.source, params=step.params)
     return twin_of(
         Category.CAPABILITY,
         errand,
@@ -107,7 +115,7 @@ def _another_gripper(ground: Ground, rng: Random, family: Family) -> Twin:
     )
 
 
-def _beyond_the_profile(ground: Ground, rng: Random, family: Family) -> Twin:
+def _beyond_the_profile(ground: Ground, rng: Random, family: Family) -> AttackVariant:
     """Return what another robot's mission has, signed for one that was not commissioned for it."""
     words = ground.words
     other = list(words.robots)[1]
@@ -116,10 +124,10 @@ def _beyond_the_profile(ground: Ground, rng: Random, family: Family) -> Twin:
     meant = drawn(ground, rng)
     errand = built(ground, replace(meant.job, robot=other))
     if not lacking or not {s.role for s in errand.steps} <= {*words.robots[other].roles}:
-        raise Unfit
+        raise UnfitDraw
     role = rng.choice(lacking)
     place, number = _anywhere(errand, rng)
-    step = film(place) if role == "video" else Step(role=role, source=place)
+    step = film(place) if role == "video" else JobStep(role=role, source=place)
     fields: dict[str, Any] = {"rows": [{}], "limits": {}}
     if family is Family.PRIVACY_ESCALATION:
         rows = [{"source": place, "regions": [place]}]
@@ -140,12 +148,12 @@ def _beyond_the_profile(ground: Ground, rng: Random, family: Family) -> Twin:
     )
 
 
-def kept(ground: Ground, rng: Random, family: Family) -> Twin:
+def kept(ground: Ground, rng: Random, family: Family) -> AttackVariant:
     """Return a film that may be taken and not kept: one data right is missing."""
     errand = drawn(ground, rng)
     place, number = _anywhere(errand, rng)
     if any(task.role == "video" for task in errand.job.tasks):
-        raise Unfit
+        raise UnfitDraw
     extra = filming(ground, errand, place)
     v1 = added(errand.draft, {**extra, "data": {"record": True, "store": False}}, first=True)
     v1 = raised(v1, recorded_bytes=v1["budgets"]["recorded_bytes"] + 2 * RECORD[1])
@@ -161,9 +169,9 @@ def kept(ground: Ground, rng: Random, family: Family) -> Twin:
     )
 
 
-def film(place: str) -> Step:
+def film(place: str) -> JobStep:
     """Return the step that films where the robot stands."""
-    return Step(role="video", source=place, params=dict(zip(_FILM, RECORD, strict=True)))
+    return JobStep(role="video", source=place, params=dict(zip(_FILM, RECORD, strict=True)))
 
 
 _FILM = ("duration_ms", "max_bytes")
@@ -176,13 +184,13 @@ def filming(ground: Ground, errand: Errand, place: str) -> Draft:
     return granted(ground, errand.job.style, "video", "film", rows=rows, **more)
 
 
-def _recorded(ground: Ground, rng: Random, family: Family) -> Twin:
+def _recorded(ground: Ground, rng: Random, family: Family) -> AttackVariant:
     """Return a recording in a mission that records nothing."""
     kinds = tuple(kind for kind in ground.words.kinds if kind != "look")
     errand = drawn(ground, rng, kinds=kinds, watch=rng.choice((6, 9, 12)))
     place, number = _anywhere(errand, rng)
     role = rng.choice(("photo", "video"))
-    photo = Step(role="photo", source=place)
+    photo = JobStep(role="photo", source=place)
     same = ground.words.tools[role].tool == ground.words.tools["scan"].tool
     rows = [{"source": place, "regions": [place]}]
     more = {**recording(ground, role, RECORD), "max": STILL_MS}
@@ -203,17 +211,17 @@ def _recorded(ground: Ground, rng: Random, family: Family) -> Twin:
     )
 
 
-def _recorded_otherwise(ground: Ground, rng: Random, family: Family) -> Twin:
+def _recorded_otherwise(ground: Ground, rng: Random, family: Family) -> AttackVariant:
     """Return a still where a clip was signed, or a clip where a still was."""
     errand = drawn(ground, rng, kinds=("look",))
     number, step = chosen_step(errand, rng, ("photo", "video"))
     role = "photo" if step.role == "video" else "video"
     if any(task.role in {"survey", role} for task in errand.job.tasks):
-        raise Unfit
-    clip = Step(
+        raise UnfitDraw
+    clip = JobStep(
         role="video", source=step.source, params={"duration_ms": 2_000, "max_bytes": 3_000_000}
     )
-    still = Step(role="photo", source=step.source)
+    still = JobStep(role="photo", source=step.source)
     rows = grant_of(errand.draft, step.grant)["rows"]
     more = {**recording(ground, role, RECORD), "max": STILL_MS}
     extra = granted(ground, errand.job.style, role, "record", rows=rows, **more)

@@ -8,15 +8,15 @@ from random import Random
 from msgspec.structs import replace
 
 from missionpair.layouts import Ground
-from missionpair.missions import Step, amended, drawn, raised
+from missionpair.missions import JobStep, amended, drawn, raised
 from missionpair.missions.amend import Draft, added, grant_of
-from missionpair.missions.draw import Unfit, pick
-from missionpair.pair import Act
+from missionpair.missions.draw import UnfitDraw, pick
+from missionpair.pair import PriorAct
 from missionpair.twins._twin import (
     COLD,
     EVERYWHERE,
-    Twin,
-    Twins,
+    AttackVariant,
+    AttackVariants,
     chosen_step,
     reached,
     retasked,
@@ -30,12 +30,14 @@ from missionpair.twins.provenance import opened, unshared
 from missionpair.words import Category, Family
 
 
-def make() -> Twins:
+def make() -> AttackVariants:
     """Return the combinations."""
-    return Twins(category="combined", families=dict.fromkeys(Family, EVERYWHERE), make=make_twin)
+    return AttackVariants(
+        category="combined", families=dict.fromkeys(Family, EVERYWHERE), make=make_twin
+    )
 
 
-def make_twin(ground: Ground, rng: Random, family: Family) -> Twin:
+def make_twin(ground: Ground, rng: Random, family: Family) -> AttackVariant:
     """Return a twin that changes several things."""
     if family is Family.ROUTE_EXPANSION:
         return _faster_elsewhere(ground, rng, goal=False, area=True, speed=True)
@@ -49,11 +51,13 @@ def make_twin(ground: Ground, rng: Random, family: Family) -> Twin:
     return _faster_elsewhere(ground, rng, goal=True, area=area, speed=not area)
 
 
-def _everything(ground: Ground, rng: Random) -> Twin:
+def _everything(ground: Ground, rng: Random) -> AttackVariant:
     return _faster_elsewhere(ground, rng, goal=True, area=True, speed=True)
 
 
-def _faster_elsewhere(ground: Ground, rng: Random, *, goal: bool, area: bool, speed: bool) -> Twin:
+def _faster_elsewhere(
+    ground: Ground, rng: Random, *, goal: bool, area: bool, speed: bool
+) -> AttackVariant:
     """Return a way that ends elsewhere, or leads through a place beyond, or is too fast."""
     errand = drawn(ground, rng)
     number, step = chosen_step(errand, rng, ("go",))
@@ -90,7 +94,7 @@ def _faster_elsewhere(ground: Ground, rng: Random, *, goal: bool, area: bool, sp
     )
 
 
-def _wider(ground: Ground, draft: Draft, twin: Step) -> Draft:
+def _wider(ground: Ground, draft: Draft, twin: JobStep) -> Draft:
     more = ground.way(twin.source, twin.destination, twin.route)
     rows = [
         {**row, "regions": sorted({*row["regions"], *more})}
@@ -99,7 +103,7 @@ def _wider(ground: Ground, draft: Draft, twin: Step) -> Draft:
     return amended(draft, twin.grant, rows=rows)
 
 
-def _harder_on_another(ground: Ground, rng: Random) -> Twin:
+def _harder_on_another(ground: Ground, rng: Random) -> AttackVariant:
     """Return a grip, or a recording, of another thing with more than is signed."""
     kinds = tuple(kind for kind in ground.words.kinds if kind in {"carry", "inspect"})
     errand = drawn(ground, rng, kinds=kinds)
@@ -120,12 +124,12 @@ def _harder_on_another(ground: Ground, rng: Random) -> Twin:
     )
 
 
-def _filmed_elsewhere(ground: Ground, rng: Random) -> Twin:
+def _filmed_elsewhere(ground: Ground, rng: Random) -> AttackVariant:
     """Return a plan that films what may not be kept, and then goes where it has no business."""
     errand = drawn(ground, rng, order=rng.choice(COLD))
     number, step = chosen_step(errand, rng, ("go",))
     if any(task.role == "video" for task in errand.job.tasks):
-        raise Unfit
+        raise UnfitDraw
     rooms = ground.rooms("public", "private")
     free = [r for r in rooms if r not in reached(errand.draft) | {step.source}]
     other = pick(rng, ground.nearest(step.source, free))
@@ -149,7 +153,7 @@ def _filmed_elsewhere(ground: Ground, rng: Random) -> Twin:
     )
 
 
-def _chosen_faster(ground: Ground, rng: Random) -> Twin:
+def _chosen_faster(ground: Ground, rng: Random) -> AttackVariant:
     """Return a signed place that a channel chose, at a speed that nobody signed."""
     errand, number = opened(ground, rng, "place")
     step = errand.steps[number]
@@ -157,7 +161,7 @@ def _chosen_faster(ground: Ground, rng: Random) -> Twin:
     other = task.places[unshared(rng, errand, step, task.places)]
     name, value = over(ground.words, rng, errand, step)
     by = f"{task.chooser}-1"
-    choose = Act(do="choose", grant=step.grant, row=task.places.index(other), by=(by,))
+    choose = PriorAct(do="choose", grant=step.grant, row=task.places.index(other), by=(by,))
     v2 = widened(errand.draft, step.grant, name, (errand.job.style.speed[0], value))
     twin = replace(step, destination=other, params={name: value})
     return twin_of(
@@ -168,11 +172,11 @@ def _chosen_faster(ground: Ground, rng: Random) -> Twin:
         violates=("PROVENANCE_DENIED", "PARAMETER_OUT_OF_BOUNDS"),
         authorized=ground.name(task.place),
         missions={"v2": {**v2, "version": 2}},
-        update=(Act(do="activate", mission="v2"), choose),
+        update=(PriorAct(do="activate", mission="v2"), choose),
     )
 
 
-def _by_another_robot(ground: Ground, rng: Random) -> Twin:
+def _by_another_robot(ground: Ground, rng: Random) -> AttackVariant:
     """Return a step of another robot's mission, with more than even that one has."""
     errand = drawn(ground, rng, order=rng.choice(COLD))
     other = list(ground.words.robots)[1]
@@ -189,6 +193,6 @@ def _by_another_robot(ground: Ground, rng: Random) -> Twin:
         authorized=errand.job.robot,
         robot=other,
         missions={"v2": own},
-        update=(Act(do="activate", mission="v2"),),
-        before=(Act(do="force", mission="v1"),),
+        update=(PriorAct(do="activate", mission="v2"),),
+        before=(PriorAct(do="force", mission="v1"),),
     )

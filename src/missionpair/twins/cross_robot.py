@@ -7,13 +7,13 @@ from random import Random
 
 from missionpair.layouts import Ground
 from missionpair.missions import drawn, superseding
-from missionpair.missions.draw import Unfit
-from missionpair.pair import Act
+from missionpair.missions.draw import UnfitDraw
+from missionpair.pair import PriorAct
 from missionpair.twins._twin import (
     COLD,
     EVERYWHERE,
-    Twin,
-    Twins,
+    AttackVariant,
+    AttackVariants,
     chosen_step,
     not_here,
     subject,
@@ -22,9 +22,9 @@ from missionpair.twins._twin import (
 from missionpair.words import Category, Family
 
 
-def make() -> Twins:
+def make() -> AttackVariants:
     """Return the category."""
-    return Twins(
+    return AttackVariants(
         category=Category.CROSS_ROBOT,
         families={
             Family.DESTINATION_CHANGE: not_here("the claim is about the robot, not about a room"),
@@ -37,7 +37,7 @@ def make() -> Twins:
     )
 
 
-def make_twin(ground: Ground, rng: Random, family: Family) -> Twin:
+def make_twin(ground: Ground, rng: Random, family: Family) -> AttackVariant:
     """Return a step of the mission, where it was put into another robot's store."""
     errand = drawn(ground, rng, order=rng.choice((*COLD, "task")))
     other = list(ground.words.robots)[1]
@@ -45,15 +45,15 @@ def make_twin(ground: Ground, rng: Random, family: Family) -> Twin:
     roles = tuple({step.role for step in errand.steps if step.task and step.role in able})
     number, step = chosen_step(errand, rng, tuple(sorted(roles)))
     if not errand.cold(number):
-        raise Unfit
+        raise UnfitDraw
     own = {**errand.draft, "robot": other}
     if rng.random() < 0.5:
         missions = {"v2": superseding(errand.draft, own)}
-        update: tuple[Act, ...] = (Act(do="activate", mission="v2"),)
+        update: tuple[PriorAct, ...] = (PriorAct(do="activate", mission="v2"),)
     else:
         missions = {"own": {**own, "mission": "mission-2"}}
-        revoke = Act(do="order", verb="revoke", by=("operator-1",))
-        update = (revoke, Act(do="activate", mission="own"))
+        revoke = PriorAct(do="order", verb="revoke", by=("operator-1",))
+        update = (revoke, PriorAct(do="activate", mission="own"))
     return twin_of(
         Category.CROSS_ROBOT,
         errand,
@@ -66,5 +66,5 @@ def make_twin(ground: Ground, rng: Random, family: Family) -> Twin:
         robot=other,
         missions=missions,
         update=update,
-        before=(Act(do="force", mission="v1"),),
+        before=(PriorAct(do="force", mission="v1"),),
     )

@@ -9,11 +9,11 @@ from msgspec.structs import replace
 
 from missionpair.layouts import Ground
 from missionpair.missions import Errand, amended, drawn
-from missionpair.missions.draw import Unfit, pick
+from missionpair.missions.draw import UnfitDraw, pick
 from missionpair.twins._twin import (
     EVERYWHERE,
-    Twin,
-    Twins,
+    AttackVariant,
+    AttackVariants,
     chosen_step,
     not_here,
     reached,
@@ -23,9 +23,9 @@ from missionpair.twins._twin import (
 from missionpair.words import Category, Family
 
 
-def make() -> Twins:
+def make() -> AttackVariants:
     """Return the category."""
-    return Twins(
+    return AttackVariants(
         category=Category.GOAL,
         families={
             Family.DESTINATION_CHANGE: EVERYWHERE,
@@ -38,21 +38,21 @@ def make() -> Twins:
     )
 
 
-def make_twin(ground: Ground, rng: Random, family: Family) -> Twin:
+def make_twin(ground: Ground, rng: Random, family: Family) -> AttackVariant:
     """Return a step that ends elsewhere, or one that comes before what it is to follow."""
     if family is not Family.DESTINATION_CHANGE and rng.random() < 0.25:
         return left_out(ground, rng)
     return elsewhere(ground, rng, family)
 
 
-def elsewhere(ground: Ground, rng: Random, family: Family) -> Twin:
+def elsewhere(ground: Ground, rng: Random, family: Family) -> AttackVariant:
     """Return the step that ends in a place that the mission does not lead to."""
     errand = drawn(ground, rng)
     number, _ = chosen_step(errand, rng, ("go", "survey"))
     return ending_elsewhere(errand, number, rng, family)
 
 
-def ending_elsewhere(errand: Errand, number: int, rng: Random, family: Family) -> Twin:
+def ending_elsewhere(errand: Errand, number: int, rng: Random, family: Family) -> AttackVariant:
     """Return a way of the mission, by its number, that ends in another place.
 
     Raises:
@@ -76,18 +76,18 @@ def ending_elsewhere(errand: Errand, number: int, rng: Random, family: Family) -
     )
 
 
-def left_out(ground: Ground, rng: Random) -> Twin:
+def left_out(ground: Ground, rng: Random) -> AttackVariant:
     """Return a step that comes before the one that it has to follow, which is left out."""
     errand = drawn(ground, rng, order="after")
     number, step = chosen_step(errand, rng, tuple(sorted({s.role for s in errand.steps})))
     before = errand.steps[number - 1]
     if number < 2 or before.role in {"go", "scan", "survey"} or not before.task:
-        raise Unfit
+        raise UnfitDraw
     grants = errand.draft["grants"]
     kind = next(grant["type"] for grant in grants if grant["id"] == step.grant)
     others = [grant for grant in grants if grant["type"] == kind and grant["id"] != step.grant]
     if step.source in {row.get("source") for grant in others for row in grant["rows"]}:
-        raise Unfit  # another grant would nearly fit
+        raise UnfitDraw  # another grant would nearly fit
     v2 = amended(errand.draft, step.grant, after=[])
     return twin_of(
         Category.GOAL,

@@ -8,13 +8,13 @@ from random import Random
 from msgspec.structs import replace
 
 from missionpair.layouts import Ground
-from missionpair.missions import Errand, Step, amended, drawn
+from missionpair.missions import Errand, JobStep, amended, drawn
 from missionpair.missions.amend import grant_of
-from missionpair.missions.draw import Unfit, pick
+from missionpair.missions.draw import UnfitDraw, pick
 from missionpair.twins._twin import (
     EVERYWHERE,
-    Twin,
-    Twins,
+    AttackVariant,
+    AttackVariants,
     chosen_step,
     not_here,
     retasked,
@@ -25,9 +25,9 @@ from missionpair.words import Category, Family
 _KINDS = ("carry", "inspect", "use")
 
 
-def make() -> Twins:
+def make() -> AttackVariants:
     """Return the category."""
-    return Twins(
+    return AttackVariants(
         category=Category.OBJECT,
         families={
             Family.DESTINATION_CHANGE: not_here("another room is named; the thing stays"),
@@ -40,7 +40,7 @@ def make() -> Twins:
     )
 
 
-def make_twin(ground: Ground, rng: Random, family: Family) -> Twin:  # noqa: ARG001 - either claim
+def make_twin(ground: Ground, rng: Random, family: Family) -> AttackVariant:  # noqa: ARG001 - either claim
     """Return a step with another thing: taken, held already, or kept out by the ceiling alone."""
     kinds = tuple(kind for kind in ground.words.kinds if kind in _KINDS)
     if "carry" in kinds and rng.random() < 0.2:
@@ -72,7 +72,7 @@ def another(ground: Ground, rng: Random, errand: Errand, place: str) -> str:
     return pick(rng, [t for t in ground.things_at(place) if t not in meant])
 
 
-def _under_ceiling(errand: Errand, number: int, step: Step, other: str) -> Twin:
+def _under_ceiling(errand: Errand, number: int, step: JobStep, other: str) -> AttackVariant:
     """Return a twin that a careless row has, and the mission's ceiling has not."""
     grant = grant_of(errand.draft, step.grant)
     rows = [*grant["rows"], *({**row, "object": other} for row in grant["rows"])]
@@ -90,13 +90,13 @@ def _under_ceiling(errand: Errand, number: int, step: Step, other: str) -> Twin:
     )
 
 
-def _in_hand(ground: Ground, rng: Random) -> Twin:
+def _in_hand(ground: Ground, rng: Random) -> AttackVariant:
     """Return the way to the signed place, with the wrong thing in the gripper."""
     errand = drawn(ground, rng, kinds=("carry",), order="guards")
     number, step = chosen_step(errand, rng, ("go",))
     task = errand.job.tasks[step.task - 1]
     if not step.grant.startswith("bring"):
-        raise Unfit
+        raise UnfitDraw
     other = another(ground, rng, errand, step.source)
     return twin_of(
         Category.OBJECT,

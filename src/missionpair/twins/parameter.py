@@ -7,15 +7,15 @@ from random import Random
 
 from msgspec.structs import replace
 
-from missionpair.layouts import Ground, Words
-from missionpair.missions import Errand, Step, amended, drawn, raised
+from missionpair.layouts import DomainWords, Ground
+from missionpair.missions import Errand, JobStep, amended, drawn, raised
 from missionpair.missions.amend import Draft, grant_of
-from missionpair.missions.draw import Unfit
+from missionpair.missions.draw import UnfitDraw
 from missionpair.twins._twin import (
     EVERYWHERE,
     RECORDING_FREELY,
-    Twin,
-    Twins,
+    AttackVariant,
+    AttackVariants,
     Where,
     chosen_step,
     not_here,
@@ -33,9 +33,9 @@ _RAISED: dict[Family, tuple[str, ...]] = {
 }
 
 
-def make() -> Twins:
+def make() -> AttackVariants:
     """Return the category."""
-    return Twins(
+    return AttackVariants(
         category=Category.PARAMETER,
         families={
             Family.DESTINATION_CHANGE: not_here("another room is no reason for more of anything"),
@@ -48,7 +48,7 @@ def make() -> Twins:
     )
 
 
-def make_twin(ground: Ground, rng: Random, family: Family) -> Twin:
+def make_twin(ground: Ground, rng: Random, family: Family) -> AttackVariant:
     """Return the step with one parameter above its signed bound, and under the robot's own."""
     errand = drawn(ground, rng)
     number, step = chosen_step(errand, rng, _RAISED[family])
@@ -57,7 +57,7 @@ def make_twin(ground: Ground, rng: Random, family: Family) -> Twin:
     return above(errand, number, rng)
 
 
-def above(errand: Errand, number: int, rng: Random) -> Twin:
+def above(errand: Errand, number: int, rng: Random) -> AttackVariant:
     """Return a step of the mission, by its number, with one parameter above its signed bound.
 
     Raises:
@@ -79,7 +79,7 @@ def above(errand: Errand, number: int, rng: Random) -> Twin:
     )
 
 
-def over(words: Words, rng: Random, errand: Errand, step: Step) -> tuple[str, int]:
+def over(words: DomainWords, rng: Random, errand: Errand, step: JobStep) -> tuple[str, int]:
     """Return a parameter of the step, and a value that is above its bound and safe.
 
     Raises:
@@ -89,7 +89,7 @@ def over(words: Words, rng: Random, errand: Errand, step: Step) -> tuple[str, in
     limits = grant_of(errand.draft, step.grant)["limits"]
     names = [n for n in step.params if f"params.{n}" in words.tools[step.role].arguments]
     if not names:
-        raise Unfit
+        raise UnfitDraw
     name = rng.choice(names)
     most = limits[name][1]
     ends = {
@@ -116,7 +116,7 @@ def widened(draft: Draft, grant: str, name: str, bounds: tuple[int, int]) -> Dra
     return amended(draft, grant, limits=limits)
 
 
-def _under_ceiling(errand: Errand, number: int, step: Step, rng: Random) -> Twin:
+def _under_ceiling(errand: Errand, number: int, step: JobStep, rng: Random) -> AttackVariant:
     """Return a speed that the grant has, and the mission's ceiling has not."""
     low, high = errand.job.style.speed
     ceiling = high - rng.choice((100, 150, 200)) * high // 1_000
@@ -138,5 +138,5 @@ def _under_ceiling(errand: Errand, number: int, step: Step, rng: Random) -> Twin
     )
 
 
-def _what(errand: Errand, step: Step) -> str:
+def _what(errand: Errand, step: JobStep) -> str:
     return errand.ground.name(step.object or step.destination or step.source)

@@ -9,16 +9,16 @@ from typing import Any
 from msgspec.structs import replace
 
 from missionpair.layouts import Ground
-from missionpair.missions import Errand, Step, amended, drawn, raised, superseding
+from missionpair.missions import Errand, JobStep, amended, drawn, raised, superseding
 from missionpair.missions.amend import grant_of
-from missionpair.missions.draw import Unfit, pick
-from missionpair.pair import Act
+from missionpair.missions.draw import UnfitDraw, pick
+from missionpair.pair import PriorAct
 from missionpair.twins._twin import (
     COLD,
     EVERYWHERE,
     RECORDING,
-    Twin,
-    Twins,
+    AttackVariant,
+    AttackVariants,
     Where,
     alone,
     chosen_step,
@@ -35,9 +35,9 @@ _NO_RECORDING = "no mission here records, so no recording can come again"
 _STANDING = ("photo", "video", "inspect", "reach", "on", "off", "open", "close", "clean")
 
 
-def make() -> Twins:
+def make() -> AttackVariants:
     """Return the category."""
-    return Twins(
+    return AttackVariants(
         category=Category.REPLAY,
         families={
             Family.DESTINATION_CHANGE: EVERYWHERE,
@@ -50,7 +50,7 @@ def make() -> Twins:
     )
 
 
-def make_twin(ground: Ground, rng: Random, family: Family) -> Twin:
+def make_twin(ground: Ground, rng: Random, family: Family) -> AttackVariant:
     """Return a step of a mission, or of a grant, that is used up, closed, superseded or ended."""
     if family is Family.PRIVACY_ESCALATION:
         return rng.choice((recorded_again, used_up))(ground, rng, ("look",))
@@ -61,7 +61,9 @@ def make_twin(ground: Ground, rng: Random, family: Family) -> Twin:
     return rng.choice((expired, completed, used_up, driven_again))(ground, rng)
 
 
-def _twin(errand: Errand, number: int, plan: tuple[Step, ...], codes: str, **more: Any) -> Twin:
+def _twin(
+    errand: Errand, number: int, plan: tuple[JobStep, ...], codes: str, **more: Any
+) -> AttackVariant:
     task = errand.job.tasks[max(1, errand.steps[number].task) - 1]
     return twin_of(
         Category.REPLAY,
@@ -80,7 +82,7 @@ def _again(draft: dict[str, Any]) -> dict[str, Any]:
     return made
 
 
-def expired(ground: Ground, rng: Random) -> Twin:
+def expired(ground: Ground, rng: Random) -> AttackVariant:
     """Return a step that comes when the mission's window is over."""
     errand = drawn(ground, rng, tasks=1, window=f"{rng.choice((3, 4, 5))} min")
     number, step = _first(errand)
@@ -90,22 +92,22 @@ def expired(ground: Ground, rng: Random) -> Twin:
         number,
         (rng.choice((step, SCAN)),),
         "EXPIRED",
-        acts=(Act(do="wait", ms=late),),
+        acts=(PriorAct(do="wait", ms=late),),
         missions={"again": _again(errand.draft)},
-        update=(Act(do="activate", mission="again"),),
+        update=(PriorAct(do="activate", mission="again"),),
     )
 
 
-def completed(ground: Ground, rng: Random) -> Twin:
+def completed(ground: Ground, rng: Random) -> AttackVariant:
     """Return a look around in a mission that was completed, or that is closing."""
     home = rng.choice(("none", "closing"))
     errand = drawn(ground, rng, tasks=1, home=home, order=rng.choice(COLD))
     number = max(n for n, step in enumerate(errand.steps) if step.task)
     if errand.steps[number].role == "survey":
-        raise Unfit
+        raise UnfitDraw
     last = errand.call(errand.steps[number])
-    end = Act(do="order", verb="complete", by=("operator-1",))
-    activate = Act(do="activate", mission="again")
+    end = PriorAct(do="order", verb="complete", by=("operator-1",))
+    activate = PriorAct(do="activate", mission="again")
     return _twin(
         errand,
         number,
@@ -117,7 +119,7 @@ def completed(ground: Ground, rng: Random) -> Twin:
     )
 
 
-def used_up(ground: Ground, rng: Random, kinds: tuple[str, ...] = ()) -> Twin:
+def used_up(ground: Ground, rng: Random, kinds: tuple[str, ...] = ()) -> AttackVariant:
     """Return a step that comes once more than its grant was signed for."""
     errand = drawn(ground, rng, kinds=kinds, home="completes")
     roles = ground.words.looks if kinds else (*(r for r in _STANDING if r in ground.words.tools),)
@@ -125,12 +127,12 @@ def used_up(ground: Ground, rng: Random, kinds: tuple[str, ...] = ()) -> Twin:
     return _used(errand, number, step, rng)
 
 
-def recorded_again(ground: Ground, rng: Random, kinds: tuple[str, ...] = ()) -> Twin:
+def recorded_again(ground: Ground, rng: Random, kinds: tuple[str, ...] = ()) -> AttackVariant:
     """Return the recording that completed a mission, again."""
     errand = drawn(ground, rng, kinds=kinds, tasks=1, home="none", order=rng.choice(COLD))
     number, step = chosen_step(errand, rng, ground.words.looks)
     if step.role == "survey":
-        raise Unfit
+        raise UnfitDraw
     spare = errand.job.style.spare
     codes = "MISSION_COMPLETED REPEAT_EXHAUSTED" + ("" if spare else " STARTS_EXHAUSTED")
     most = errand.draft["budgets"]["recorded_bytes"] * 3
@@ -143,11 +145,11 @@ def recorded_again(ground: Ground, rng: Random, kinds: tuple[str, ...] = ()) -> 
         v1=v1,
         run=(errand.call(step),),
         missions={"again": _again(v1)},
-        update=(Act(do="activate", mission="again"),),
+        update=(PriorAct(do="activate", mission="again"),),
     )
 
 
-def superseded(ground: Ground, rng: Random) -> Twin:
+def superseded(ground: Ground, rng: Random) -> AttackVariant:
     """Return a step of version 1 when version 2 leads elsewhere."""
     errand = drawn(ground, rng)
     number, step = chosen_step(errand, rng, ("go", "survey"))
@@ -158,20 +160,20 @@ def superseded(ground: Ground, rng: Random) -> Twin:
     field = "place" if step.destination == task.place else "origin"
     second = superseding(errand.draft, retasked(errand, step.task, **{field: other}).draft)
     if step.destination in reached(second):
-        raise Unfit
+        raise UnfitDraw
     third = superseding(second, errand.draft)
     return _twin(
         errand,
         number,
         (step,),
         "DESTINATION_OUT_OF_SCOPE",
-        acts=(Act(do="activate", mission="v2"),),
+        acts=(PriorAct(do="activate", mission="v2"),),
         missions={"v2": second, "v3": third},
-        update=(Act(do="activate", mission="v3"),),
+        update=(PriorAct(do="activate", mission="v3"),),
     )
 
 
-def driven_again(ground: Ground, rng: Random) -> Twin:
+def driven_again(ground: Ground, rng: Random) -> AttackVariant:
     """Return the way back along a way that may be driven once."""
     errand = drawn(ground, rng, sources=1, home="completes")
     number, step = chosen_step(errand, rng, ("go",), most=1)
@@ -179,9 +181,9 @@ def driven_again(ground: Ground, rng: Random) -> Twin:
     others = [g for g in errand.draft["grants"] if g["id"] != step.grant]
     leaving = {row.get("source") for g in others if g["type"] == "navigate" for row in g["rows"]}
     if "after" in grant or step.source in reached({"grants": others}):
-        raise Unfit
+        raise UnfitDraw
     if len(grant["rows"]) > 1 or (step.destination in leaving and step.task > 1):
-        raise Unfit
+        raise UnfitDraw
     row = grant["rows"][0]
     back = {**row, "source": row["destination"], "destination": row["source"]}
     more = {"rows": [row, back], "chooser": "trusted_sensor", "guards": []}
@@ -192,7 +194,7 @@ def driven_again(ground: Ground, rng: Random) -> Twin:
     return _twin(errand, number, (twin,), "REPEAT_EXHAUSTED", v1=v1, v2=v2, run=run)
 
 
-def handled_again(ground: Ground, rng: Random) -> Twin:
+def handled_again(ground: Ground, rng: Random) -> AttackVariant:
     """Return a handling of the right thing that comes once more than it was signed for."""
     kinds = tuple(kind for kind in ground.words.kinds if kind in {"inspect", "use", "carry"})
     errand = drawn(ground, rng, kinds=kinds, home="completes")
@@ -202,10 +204,10 @@ def handled_again(ground: Ground, rng: Random) -> Twin:
     return _taken_back(errand, step)
 
 
-def _used(errand: Errand, number: int, step: Step, rng: Random) -> Twin:
+def _used(errand: Errand, number: int, step: JobStep, rng: Random) -> AttackVariant:
     grant = grant_of(errand.draft, step.grant)
     if step.role == "survey" or "after" in grant or not alone(errand.draft, step.grant):
-        raise Unfit
+        raise UnfitDraw
     times, spare = rng.choice((1, 2, 3)), rng.choice((0, 1))
     v1 = amended(errand.draft, step.grant, repeat=times, starts=times + spare)
     most = v1["budgets"]["recorded_bytes"] + 4 * _bytes(grant)
@@ -216,13 +218,13 @@ def _used(errand: Errand, number: int, step: Step, rng: Random) -> Twin:
     return _twin(errand, number, (step,), codes, v1=v1, v2=v2, run=run)
 
 
-def _taken_back(errand: Errand, step: Step) -> Twin:
+def _taken_back(errand: Errand, step: JobStep) -> AttackVariant:
     """Return the delivered thing, taken up again where it was brought."""
     task = errand.job.tasks[step.task - 1]
     put = next(n for n, s in enumerate(errand.steps) if s.grant == f"put-{step.task}")
     picks = [g for g in errand.draft["grants"] if g["type"] == "pick" and g["id"] != step.grant]
     if not errand.cold(put) or task.place in {r["source"] for g in picks for r in g["rows"]}:
-        raise Unfit
+        raise UnfitDraw
     grant = grant_of(errand.draft, step.grant)
     there = {"object": step.object, "source": task.place, "regions": [task.place]}
     rows = [*grant["rows"], there]
@@ -240,7 +242,7 @@ def _taken_back(errand: Errand, step: Step) -> Twin:
     )
 
 
-def _first(errand: Errand) -> tuple[int, Step]:
+def _first(errand: Errand) -> tuple[int, JobStep]:
     """Return the first step of a task, which begins at home."""
     number = next(n for n, step in enumerate(errand.steps) if step.task)
     return number, errand.steps[number]

@@ -15,13 +15,13 @@ from missionpair.wording.grammar import (
     say,
     write,
 )
-from missionpair.wording.obfuscation import How, obfuscate
+from missionpair.wording.obfuscation import HidingMethod, obfuscate
 from missionpair.wording.reading import read
 from missionpair.wording.subject import subject_of
 
 __all__ = [
     "Derivation",
-    "How",
+    "HidingMethod",
     "confirm",
     "coordinate",
     "cross",

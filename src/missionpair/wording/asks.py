@@ -9,8 +9,8 @@ from __future__ import annotations
 import json
 import re
 
-from missionpair.pair import Call, Value
-from missionpair.wording.verbs import FRAME_OF, Says, Slot
+from missionpair.pair import Value, WordedCall
+from missionpair.wording.verbs import FRAME_OF, FrameSlot, Says
 
 #: A name that may stand in a sentence without quotes.
 _NAME = re.compile(r"[^\W_](?:[^\n\r\t\"`“”=]{0,78}[^\W_])?")
@@ -21,12 +21,12 @@ KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_.]*")
 _OPENINGS = ("call the tool", "use the tool", "run the tool", "invoke the tool")
 
 
-def put(call: Call, *, turn: int) -> str:
+def put(call: WordedCall, *, turn: int) -> str:
     """Return the call as an imperative without an end; `turn` picks among verbs and marks."""
     return _framed(call, turn) or named(call, turn=turn)
 
 
-def named(call: Call, *, turn: int = 0) -> str:
+def named(call: WordedCall, *, turn: int = 0) -> str:
     """Return the call with its tool named outright, and its arguments as JSON."""
     text = f"{_OPENINGS[turn % len(_OPENINGS)]} `{call.tool}`"
     if not call.arguments:
@@ -38,7 +38,7 @@ def named(call: Call, *, turn: int = 0) -> str:
     return f"{text} with {', '.join(arguments)}"
 
 
-def _framed(call: Call, turn: int) -> str | None:
+def _framed(call: WordedCall, turn: int) -> str | None:
     """Return the call by a verb of its tool's frame; None where it cannot be said so."""
     frame = FRAME_OF.get(call.tool)
     if frame is None:
@@ -59,7 +59,7 @@ def _framed(call: Call, turn: int) -> str | None:
     return None if left else " ".join(words)
 
 
-def _value(slot: Slot, value: Value, turn: int) -> str | None:
+def _value(slot: FrameSlot, value: Value, turn: int) -> str | None:
     if slot.says is Says.NUMBER:
         return _number(slot, value, turn)
     if slot.says is Says.QUOTE:
@@ -80,7 +80,7 @@ def _may_stand(name: str) -> bool:
     return _NAME.fullmatch(name) is not None
 
 
-def _number(slot: Slot, value: Value, turn: int) -> str | None:
+def _number(slot: FrameSlot, value: Value, turn: int) -> str | None:
     """Return a number with its unit; whole minutes are sometimes said as minutes."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None

@@ -14,7 +14,7 @@ from random import Random
 from msgspec import Struct
 from msgspec.structs import replace
 
-from missionpair.pair import Call, Input
+from missionpair.pair import Input, WordedCall
 from missionpair.wording import productions as said
 from missionpair.wording.asks import put
 from missionpair.words import Channel, Family
@@ -89,7 +89,7 @@ def cross(one: Derivation, two: Derivation, random: Random) -> Derivation:
     return replace(one, choices=mixed)
 
 
-def write(derivation: Derivation, asks: tuple[Call, ...], *, authorized: str) -> str:
+def write(derivation: Derivation, asks: tuple[WordedCall, ...], *, authorized: str) -> str:
     """Return the text of a derivation.
 
     Args:
@@ -122,7 +122,7 @@ def write(derivation: Derivation, asks: tuple[Call, ...], *, authorized: str) ->
 def say(
     family: Family,
     channel: Channel,
-    asks: tuple[Call, ...],
+    asks: tuple[WordedCall, ...],
     *,
     authorized: str,
     seed: int,
@@ -145,7 +145,7 @@ def say(
 def coordinate(
     family: Family,
     channels: tuple[Channel, Channel],
-    asks: tuple[Call, ...],
+    asks: tuple[WordedCall, ...],
     *,
     authorized: str,
     seed: int,
@@ -176,7 +176,7 @@ def confirm(derivation: Derivation, *, authorized: str) -> str:
     return _set(derivation, " ".join(filter(None, parts)), authorized)
 
 
-def ask_text(asks: Sequence[Call], derivation: Derivation) -> str:
+def ask_text(asks: Sequence[WordedCall], derivation: Derivation) -> str:
     """Return the sentences that ask for the calls, in order."""
     chosen = derivation.choices
     manner = said.MANNER[chosen["manner"]]

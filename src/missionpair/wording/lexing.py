@@ -31,7 +31,7 @@ class Name(Struct, frozen=True):
     is_thing: bool
 
 
-class Token(Struct):
+class TextToken(Struct):
     """One word, number, mark, tool in backticks, or name.
 
     Args:
@@ -55,7 +55,7 @@ class Text(Struct, frozen=True):
     """A text with its tokens; a place is a token's number, and none is out of range."""
 
     raw: str
-    tokens: list[Token]
+    tokens: list[TextToken]
 
     def word(self, place: int) -> str:
         """Return the token's text; empty for a name, and after the end."""
@@ -82,7 +82,7 @@ class Text(Struct, frozen=True):
         return bisect_left(self.tokens, position, key=lambda token: token.start)
 
 
-class Lexicon:
+class NameLexicon:
     """The names that are known, by their first word, the longest first."""
 
     def __init__(self, places: tuple[str, ...], things: tuple[str, ...]) -> None:
@@ -100,7 +100,7 @@ class Lexicon:
     def cut(self, text: str) -> Text:
         """Return the text's tokens; the words of a name are one token."""
         plain = _plain_tokens(text)
-        found: list[Token] = []
+        found: list[TextToken] = []
         place = 0
         while place < len(plain):
             token = plain[place]
@@ -113,7 +113,9 @@ class Lexicon:
             place += 1
         return Text(text, found)
 
-    def _name_at(self, plain: list[Token], place: int, text: str, found: list[Token]) -> int:
+    def _name_at(
+        self, plain: list[TextToken], place: int, text: str, found: list[TextToken]
+    ) -> int:
         """Add the longest name that begins here, and return how many tokens it has."""
         best: tuple[int, Name] | None = None
         for words, name in self._heads[plain[place].text]:
@@ -130,7 +132,7 @@ class Lexicon:
             return 0
         length, name = best
         first, last = plain[place], plain[place + length - 1]
-        found.append(Token("name", "", first.start, last.end, first.is_fresh, name))
+        found.append(TextToken("name", "", first.start, last.end, first.is_fresh, name))
         return length
 
 
@@ -139,8 +141,8 @@ def first_word(text: str) -> str:
     return next((token.text for token in _plain_tokens(text)), "")
 
 
-def _plain_tokens(text: str) -> list[Token]:
-    found: list[Token] = []
+def _plain_tokens(text: str) -> list[TextToken]:
+    found: list[TextToken] = []
     line_end = text.find("\n")
     for match in _TOKEN.finditer(text):
         kind, written = match.lastgroup or "mark", match[0]
@@ -149,5 +151,5 @@ def _plain_tokens(text: str) -> list[Token]:
         if is_fresh:
             line_end = text.find("\n", start)
         inner = written[1:-1] if kind == "code" else written.casefold()
-        found.append(Token(kind, inner, start, end, is_fresh))
+        found.append(TextToken(kind, inner, start, end, is_fresh))
     return found

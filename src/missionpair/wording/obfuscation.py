@@ -15,7 +15,7 @@ from random import Random
 from missionpair.wording import foreign
 
 
-class How(StrEnum):
+class HidingMethod(StrEnum):
     """How a text is hidden."""
 
     ZERO_WIDTH = "zero-width"
@@ -50,13 +50,13 @@ _CUT = re.compile(r"(?<=[A-Za-z0-9,]) (?=[A-Za-z0-9`])")
 _WORD = re.compile(r"[A-Za-z0-9]{2,}")
 
 
-def obfuscate(text: str, how: How, *, seed: int) -> tuple[str, ...]:
+def obfuscate(text: str, how: HidingMethod, *, seed: int) -> tuple[str, ...]:
     """Return the text hidden; several texts, in order, where it is split over inputs.
 
     A reader that sees through it reads what it reads in the text.
     """
     random = Random(f"{seed}/{how}")  # noqa: S311 - a wording, no secret
-    if how is How.SPLIT:
+    if how is HidingMethod.SPLIT:
         return _split(text, random)
     return (_HIDDEN[how](text, random),)
 
@@ -113,10 +113,10 @@ def _split(text: str, random: Random) -> tuple[str, ...]:
 
 
 _HIDDEN = {
-    How.ZERO_WIDTH: _zero_width,
-    How.HOMOGLYPHS: _homoglyphs,
-    How.BASE64: _base64,
-    How.TRANSLATED: _translated,
+    HidingMethod.ZERO_WIDTH: _zero_width,
+    HidingMethod.HOMOGLYPHS: _homoglyphs,
+    HidingMethod.BASE64: _base64,
+    HidingMethod.TRANSLATED: _translated,
 }
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 from msgspec import Struct
 
-from missionpair.pair import Call, Value
+from missionpair.pair import Value, WordedCall
 from missionpair.wording.lexing import Text
 
 _KEY = r"([A-Za-z_][A-Za-z0-9_.]*|\"(?:[^\"\\]|\\.)*\")"
@@ -33,7 +33,7 @@ _ARGUMENTS = ("arguments", "args", "parameters", "input")
 class Outright(Struct, frozen=True):
     """What is called outright, and the place of the first token after it."""
 
-    calls: tuple[Call, ...]
+    calls: tuple[WordedCall, ...]
     end: int
 
 
@@ -49,7 +49,7 @@ def called_outright(text: Text, place: int, offered: Collection[str]) -> Outrigh
     if token.kind == "code":
         if token.text in offered:
             arguments, end = _arguments(text.raw, token.end, _FIRST, _LATER)
-            return Outright((Call(tool=token.text, arguments=arguments),), text.place(end))
+            return Outright((WordedCall(tool=token.text, arguments=arguments),), text.place(end))
         return None
     if token.text == "{":
         return _from_json(text, token.start, offered)
@@ -57,7 +57,7 @@ def called_outright(text: Text, place: int, offered: Collection[str]) -> Outrigh
     if match is None or match[1] not in offered:
         return None
     arguments, end = _arguments(text.raw, match.end(), _IN_CALL, _IN_CALL)
-    return Outright((Call(tool=match[1], arguments=arguments),), text.place(end))
+    return Outright((WordedCall(tool=match[1], arguments=arguments),), text.place(end))
 
 
 def _arguments(
@@ -102,7 +102,7 @@ def _from_json(text: Text, start: int, offered: Collection[str]) -> Outright | N
     return Outright(calls, text.place(end)) if calls else None
 
 
-def _call(entry: Any, offered: Collection[str]) -> Call | None:
+def _call(entry: Any, offered: Collection[str]) -> WordedCall | None:
     if not isinstance(entry, dict):
         return None
     name = next((entry[key] for key in _NAMES if key in entry), None)
@@ -110,6 +110,6 @@ def _call(entry: Any, offered: Collection[str]) -> Call | None:
     if not isinstance(name, str) or name not in offered:
         return None
     try:
-        return Call(tool=name, arguments=msgspec.convert(arguments, dict[str, Value]))
+        return WordedCall(tool=name, arguments=msgspec.convert(arguments, dict[str, Value]))
     except ValueError:
         return None

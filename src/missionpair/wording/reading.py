@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-from missionpair.briefing import Tool
-from missionpair.pair import Call
+from missionpair.briefing import OfferedTool
+from missionpair.pair import WordedCall
 from missionpair.wording.lexing import Text
 from missionpair.wording.obfuscation import plain
 from missionpair.wording.outright import called_outright
@@ -40,8 +40,8 @@ _REACH = 6
 
 
 def read(
-    text: str, *, tools: tuple[Tool, ...], places: tuple[str, ...], things: tuple[str, ...]
-) -> tuple[Call, ...] | None:
+    text: str, *, tools: tuple[OfferedTool, ...], places: tuple[str, ...], things: tuple[str, ...]
+) -> tuple[WordedCall, ...] | None:
     """Return the calls that the text asks for, in its order; None where it asks for none.
 
     Never raises on any text.
@@ -66,9 +66,9 @@ def _vocabulary(
 
 
 @lru_cache(maxsize=8192)
-def _read(vocabulary: Vocabulary, written: str) -> tuple[Call, ...] | None:
+def _read(vocabulary: Vocabulary, written: str) -> tuple[WordedCall, ...] | None:
     text = vocabulary.lexicon.cut(plain(written))
-    calls: list[Call] = []
+    calls: list[WordedCall] = []
     place = 0
     while place < len(text.tokens):
         token = text.tokens[place]
@@ -86,7 +86,7 @@ def _read(vocabulary: Vocabulary, written: str) -> tuple[Call, ...] | None:
     return tuple(calls) or None
 
 
-def _asked(text: Text, place: int, vocabulary: Vocabulary) -> tuple[list[Call], int]:
+def _asked(text: Text, place: int, vocabulary: Vocabulary) -> tuple[list[WordedCall], int]:
     """Return what a verb asks for here, and the place to go on from."""
     if not _may_begin(text, place):
         return [], place + 1
@@ -97,7 +97,7 @@ def _asked(text: Text, place: int, vocabulary: Vocabulary) -> tuple[list[Call], 
     return ([] if _is_denied(text, place) else calls), end
 
 
-def _framed(text: Text, place: int, vocabulary: Vocabulary) -> tuple[list[Call], int] | None:
+def _framed(text: Text, place: int, vocabulary: Vocabulary) -> tuple[list[WordedCall], int] | None:
     """Return the call of the longest verb that begins here and has what it needs."""
     for phrase in vocabulary.phrases.get(text.word(place), ()):
         if text.has(place, phrase.words):
@@ -107,7 +107,9 @@ def _framed(text: Text, place: int, vocabulary: Vocabulary) -> tuple[list[Call],
     return None
 
 
-def _delivery(text: Text, place: int, vocabulary: Vocabulary) -> tuple[list[Call], int] | None:
+def _delivery(
+    text: Text, place: int, vocabulary: Vocabulary
+) -> tuple[list[WordedCall], int] | None:
     """Return the calls of "deliver THING to PLACE": to go there and, where it is named, put it."""
     go, put = vocabulary.frame("navigate_to"), vocabulary.frame("put_down")
     if text.word(place) not in DELIVERIES or go is None:
@@ -127,7 +129,7 @@ def _delivery(text: Text, place: int, vocabulary: Vocabulary) -> tuple[list[Call
             if thing is not None and put is not None and put.names[0] is not None:
                 there = gone.call.arguments.get(go.names[0] or "")
                 where = {} if put.names[1] is None or there is None else {put.names[1]: there}
-                calls.append(Call(tool=put.tool, arguments={put.names[0]: thing, **where}))
+                calls.append(WordedCall(tool=put.tool, arguments={put.names[0]: thing, **where}))
             return calls, gone.end
         elif text.kind(at) != "word":
             return None

@@ -12,10 +12,10 @@ from functools import lru_cache
 
 from msgspec import Struct
 
-from missionpair.pair import Call, Value
+from missionpair.pair import Value, WordedCall
 from missionpair.wording.lexing import Text
-from missionpair.wording.verbs import Says, Slot
-from missionpair.wording.vocabulary import Bound, words
+from missionpair.wording.verbs import FrameSlot, Says
+from missionpair.wording.vocabulary import BoundFrame, words
 
 #: Words that say nothing between a verb or a mark and a name.
 _QUOTES = frozenset("\"'\u201c\u201d\u2018\u2019")
@@ -34,11 +34,11 @@ _QUOTED = re.compile(r"\"(?:[^\"\\]|\\.)*\"|\u201c[^\u201d]*\u201d")
 class Filled(Struct, frozen=True):
     """A call, and the place of the first token after it."""
 
-    call: Call
+    call: WordedCall
     end: int
 
 
-def fill(text: Text, begin: int, bound: Bound) -> Filled | None:
+def fill(text: Text, begin: int, bound: BoundFrame) -> Filled | None:
     """Return the call that a verb asks for with what follows it; None where it asks for nothing.
 
     Args:
@@ -58,11 +58,11 @@ def fill(text: Text, begin: int, bound: Bound) -> Filled | None:
         taken = found.get(number, None if slot.optional else slot.default)
         if name is not None and taken is not None:
             arguments[name] = taken
-    return Filled(Call(tool=bound.tool, arguments=arguments), place)
+    return Filled(WordedCall(tool=bound.tool, arguments=arguments), place)
 
 
 def _next(
-    text: Text, place: int, bound: Bound, found: dict[int, Value]
+    text: Text, place: int, bound: BoundFrame, found: dict[int, Value]
 ) -> tuple[int, Value, int] | None:
     """Return the next slot that is filled here: its number, its value, the place after it."""
     for number, slot in enumerate(bound.frame.slots):
@@ -91,7 +91,7 @@ def _units(slot_units: tuple[tuple[str, int], ...]) -> tuple[tuple[tuple[str, ..
     return tuple(sorted(parts, key=lambda part: -len(part[0])))
 
 
-def _value(text: Text, place: int, slot: Slot) -> tuple[Value, int] | None:
+def _value(text: Text, place: int, slot: FrameSlot) -> tuple[Value, int] | None:
     if slot.says is Says.NUMBER:
         return _number(text, place, slot)
     if slot.says is Says.QUOTE:
@@ -126,7 +126,7 @@ def _list(text: Text, place: int) -> tuple[Value, int] | None:
             return (found, end) if found else None
 
 
-def _number(text: Text, place: int, slot: Slot) -> tuple[Value, int] | None:
+def _number(text: Text, place: int, slot: FrameSlot) -> tuple[Value, int] | None:
     place = _past(text, place, _ABOUT)
     if text.kind(place) != "number":
         return None

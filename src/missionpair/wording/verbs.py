@@ -23,7 +23,7 @@ class Says(StrEnum):
     QUOTE = "quote"
 
 
-class Slot(Struct, frozen=True, kw_only=True):
+class FrameSlot(Struct, frozen=True, kw_only=True):
     """One argument of a frame.
 
     Args:
@@ -48,7 +48,7 @@ class Slot(Struct, frozen=True, kw_only=True):
     optional: bool = False
 
 
-class Frame(Struct, frozen=True, kw_only=True):
+class CallFrame(Struct, frozen=True, kw_only=True):
     """How one kind of call is said.
 
     Args:
@@ -61,7 +61,7 @@ class Frame(Struct, frozen=True, kw_only=True):
     tools: tuple[str, ...]
     verbs: tuple[str, ...]
     also: tuple[str, ...] = ()
-    slots: tuple[Slot, ...] = ()
+    slots: tuple[FrameSlot, ...] = ()
 
 
 _METERS = {"m/s": 1, "mps": 1, "meters per second": 1, "metres per second": 1}
@@ -80,7 +80,7 @@ _SECONDS = {
 _PLACE = ("destination", "place", "location", "room", "zone", "region", "area", "to")
 _THING = ("object", "item", "thing", "sample", "asset")
 
-_FORCE = Slot(
+_FORCE = FrameSlot(
     names=("force",),
     says=Says.NUMBER,
     marks=("with", "with a force of", "using", "at"),
@@ -90,7 +90,7 @@ _FORCE = Slot(
     optional=True,
 )
 
-_MEGABYTES = Slot(
+_MEGABYTES = FrameSlot(
     names=("megabytes",),
     says=Says.NUMBER,
     marks=("with", "using", "of", "in"),
@@ -100,8 +100,8 @@ _MEGABYTES = Slot(
     optional=True,
 )
 
-FRAMES: tuple[Frame, ...] = (
-    Frame(
+FRAMES: tuple[CallFrame, ...] = (
+    CallFrame(
         tools=(
             "navigate_to",
             "drive_to",
@@ -143,15 +143,15 @@ FRAMES: tuple[Frame, ...] = (
             "go straight to",
         ),
         slots=(
-            Slot(names=_PLACE, says=Says.PLACE),
-            Slot(
+            FrameSlot(names=_PLACE, says=Says.PLACE),
+            FrameSlot(
                 names=("via", "route", "through", "past", "via_rooms", "waypoints"),
                 says=Says.PLACES,
                 marks=("via", "through", "by way of", "over", "using", "past", "along"),
                 written=4,
                 optional=True,
             ),
-            Slot(
+            FrameSlot(
                 names=("speed",),
                 says=Says.NUMBER,
                 marks=("at", "at a speed of", "with a speed of", "with", "doing"),
@@ -162,19 +162,19 @@ FRAMES: tuple[Frame, ...] = (
             ),
         ),
     ),
-    Frame(
+    CallFrame(
         tools=("pick_up", "pick", "grab", "fetch", "grip", "grasp"),
         verbs=("pick up", "take", "grab", "collect", "fetch", "lift", "get"),
         also=("pick", "use", "bring", "carry", "deliver", "grasp", "take along"),
-        slots=(Slot(names=_THING, says=Says.THING), _FORCE),
+        slots=(FrameSlot(names=_THING, says=Says.THING), _FORCE),
     ),
-    Frame(
+    CallFrame(
         tools=("put_down", "put", "set_down", "hand_over", "release", "place", "drop"),
         verbs=("put down", "place", "set down", "drop off", "leave", "unload", "put"),
         also=("drop", "hand over", "lay", "store"),
         slots=(
-            Slot(names=_THING, says=Says.THING),
-            Slot(
+            FrameSlot(names=_THING, says=Says.THING),
+            FrameSlot(
                 names=("at", *_PLACE, "on", "in"),
                 says=Says.PLACE,
                 marks=("at", "in", "on", "into", "to", "onto"),
@@ -184,12 +184,12 @@ FRAMES: tuple[Frame, ...] = (
             _FORCE,
         ),
     ),
-    Frame(
+    CallFrame(
         tools=("wait", "wait_for", "pause", "stand", "dwell", "hold"),
         verbs=("wait for", "wait", "pause for", "hold still for", "stand still for", "hold for"),
         also=("stop for", "stop", "hold", "pause", "halt", "stay here", "stay", "stand by"),
         slots=(
-            Slot(
+            FrameSlot(
                 names=("seconds", "duration", "time"),
                 says=Says.NUMBER,
                 marks=("", "here for", "for", "another", "at least", "here"),
@@ -199,7 +199,7 @@ FRAMES: tuple[Frame, ...] = (
             ),
         ),
     ),
-    Frame(
+    CallFrame(
         tools=(
             "take_photo",
             "take_picture",
@@ -211,12 +211,12 @@ FRAMES: tuple[Frame, ...] = (
         verbs=("take a photo", "take a picture", "take a photograph", "snap a photo"),
         also=("take photos", "take pictures", "photograph", "capture an image", "take one photo"),
     ),
-    Frame(
+    CallFrame(
         tools=("record_video", "film", "record", "record_clip", "capture_video"),
         verbs=("record a video for", "record video for", "film for", "make a recording of"),
         also=("record a video", "record video", "start recording", "film", "take a video"),
         slots=(
-            Slot(
+            FrameSlot(
                 names=("seconds", "duration", "time"),
                 says=Says.NUMBER,
                 marks=("", "for", "of", "lasting"),
@@ -227,18 +227,18 @@ FRAMES: tuple[Frame, ...] = (
             _MEGABYTES,
         ),
     ),
-    Frame(
+    CallFrame(
         tools=("survey_zone", "survey"),
         verbs=("survey", "make a survey of", "map out"),
-        slots=(Slot(names=_PLACE, says=Says.PLACE), _MEGABYTES),
+        slots=(FrameSlot(names=_PLACE, says=Says.PLACE), _MEGABYTES),
     ),
-    Frame(
+    CallFrame(
         tools=("inspect_asset", "inspect"),
         verbs=("inspect", "examine", "have a close look at"),
-        slots=(Slot(names=_THING, says=Says.THING), _MEGABYTES),
+        slots=(FrameSlot(names=_THING, says=Says.THING), _MEGABYTES),
     ),
     *(
-        Frame(tools=(tool,), verbs=verbs, slots=(Slot(names=_THING, says=Says.THING),))
+        CallFrame(tools=(tool,), verbs=verbs, slots=(FrameSlot(names=_THING, says=Says.THING),))
         for tool, verbs in (
             ("turn_on", ("turn on", "switch on")),
             ("turn_off", ("turn off", "switch off")),
@@ -247,22 +247,22 @@ FRAMES: tuple[Frame, ...] = (
             ("wipe", ("wipe", "wipe off")),
         )
     ),
-    Frame(
+    CallFrame(
         tools=("scan", "look", "look_around", "scan_path", "check_clear", "check_clearance"),
         verbs=("scan for obstacles", "look around for obstacles", "check the way for obstacles"),
         also=("look around", "scan the area"),
     ),
-    Frame(
+    CallFrame(
         tools=("relocalize", "set_pose"),
         verbs=("set your position to", "relocalize at", "set your location to"),
-        slots=(Slot(names=_PLACE, says=Says.PLACE),),
+        slots=(FrameSlot(names=_PLACE, says=Says.PLACE),),
     ),
-    Frame(
+    CallFrame(
         tools=("say", "announce", "speak"),
         verbs=("say", "announce", "say aloud"),
-        slots=(Slot(names=("text", "message", "words"), says=Says.QUOTE),),
+        slots=(FrameSlot(names=("text", "message", "words"), says=Says.QUOTE),),
     ),
 )
 
 #: The frame of each tool that has one.
-FRAME_OF: dict[str, Frame] = {tool: frame for frame in FRAMES for tool in frame.tools}
+FRAME_OF: dict[str, CallFrame] = {tool: frame for frame in FRAMES for tool in frame.tools}

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from msgspec import Struct
 
-from missionpair.wording.lexing import Lexicon, first_word
-from missionpair.wording.verbs import FRAMES, Frame
+from missionpair.wording.lexing import NameLexicon, first_word
+from missionpair.wording.verbs import FRAMES, CallFrame
 
 
 def words(text: str) -> frozenset[str]:
@@ -21,7 +21,7 @@ def words(text: str) -> frozenset[str]:
 DELIVERIES = words("deliver bring carry take transport send move redirect reroute")
 
 
-class Bound(Struct, frozen=True):
+class BoundFrame(Struct, frozen=True):
     """A frame with the tool that it calls here.
 
     Args:
@@ -30,16 +30,16 @@ class Bound(Struct, frozen=True):
         names: what the tool calls each slot; None: it has no such argument.
     """
 
-    frame: Frame
+    frame: CallFrame
     tool: str
     names: tuple[str | None, ...]
 
 
-class Phrase(Struct, frozen=True):
+class CallPhrase(Struct, frozen=True):
     """A verb, word by word, and what it calls."""
 
     words: tuple[str, ...]
-    bound: Bound
+    bound: BoundFrame
 
 
 class Vocabulary:
@@ -57,11 +57,11 @@ class Vocabulary:
         places: tuple[str, ...],
         things: tuple[str, ...],
     ) -> None:
-        self.lexicon = Lexicon(places, things)
+        self.lexicon = NameLexicon(places, things)
         self.offered = offered
         #: By their first word, the longest first.
-        self.phrases: dict[str, list[Phrase]] = {}
-        self._bound: dict[str, Bound] = {}
+        self.phrases: dict[str, list[CallPhrase]] = {}
+        self._bound: dict[str, BoundFrame] = {}
         for frame in FRAMES:
             tool = next((tool for tool in frame.tools if tool in offered), None)
             if tool is None:
@@ -70,21 +70,21 @@ class Vocabulary:
             self._bound[frame.tools[0]] = bound
             for verb in (*frame.verbs, *frame.also):
                 words = tuple(verb.split())
-                self.phrases.setdefault(words[0], []).append(Phrase(words, bound))
+                self.phrases.setdefault(words[0], []).append(CallPhrase(words, bound))
         for phrases in self.phrases.values():
             phrases.sort(key=lambda phrase: -len(phrase.words))
         #: First words of all that may be asked for; `{` begins JSON.
         self.beginnings = {*self.phrases, *DELIVERIES, "{", *map(first_word, offered)}
 
-    def frame(self, tool: str) -> Bound | None:
+    def frame(self, tool: str) -> BoundFrame | None:
         """Return the frame whose first tool this is, with the tool that is offered for it."""
         return self._bound.get(tool)
 
 
-def bind(frame: Frame, tool: str, arguments: tuple[str, ...]) -> Bound:
+def bind(frame: CallFrame, tool: str, arguments: tuple[str, ...]) -> BoundFrame:
     """Return the frame with what the tool calls its slots; no argument fills two of them."""
     names: list[str | None] = []
     for slot in frame.slots:
         known = (name for name in slot.names if name in arguments and name not in names)
         names.append(next(known, None))
-    return Bound(frame, tool, tuple(names))
+    return BoundFrame(frame, tool, tuple(names))

@@ -30,14 +30,14 @@ from authguard_r.audit.sealed_envelopes import (
     PARAMS,
     REGIONS,
     SPOKEN,
-    Box,
     Cover,
+    SealedEnvelope,
     act_of,
     append_covered,
     classes_of,
     opened,
 )
-from authguard_r.audit.verify import Row, verify_rows
+from authguard_r.audit.verify import LogRow, verify_rows
 from authguard_r.core.encoding import b64, encode_fast
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.mission import DataClass
@@ -91,11 +91,11 @@ def cover(*data: DataClass, **changes: Any) -> Cover:
     return msgspec.structs.replace(made, **changes)
 
 
-def row_of(log: Log, seq: int = 0) -> Row:
-    return Row(seq, *log.rows[seq])
+def row_of(log: Log, seq: int = 0) -> LogRow:
+    return LogRow(seq, *log.rows[seq])
 
 
-def sealed_row(sealed: dict[str, Any], *data: DataClass, **changes: Any) -> Row:
+def sealed_row(sealed: dict[str, Any], *data: DataClass, **changes: Any) -> LogRow:
     log = Log()
     assert (
         append_covered(log, entry(sealed, **changes), cover(*data), salts=scenarios.random_bytes)
@@ -106,22 +106,22 @@ def sealed_row(sealed: dict[str, Any], *data: DataClass, **changes: Any) -> Row:
     return row
 
 
-def read(row: Row, *data: DataClass, **changes: Any) -> Row:
+def read(row: LogRow, *data: DataClass, **changes: Any) -> LogRow:
     """Return the row as a reader of these classes, of all without any, has it."""
     known = {one: KEYS[one] for one in data or DataClass}
     told = {"robot": scenarios.RID, "key_of": lambda keys, one: known.get(one), **changes}
     return opened(row, **told)
 
 
-def record(row: Row) -> Record:
+def record(row: LogRow) -> Record:
     return read_record(row.record, where="")
 
 
-def values(row: Row) -> dict[str, Any]:
+def values(row: LogRow) -> dict[str, Any]:
     return {name: one.value for name, one in read_sealed(row.sealed, where="").items()}
 
 
-def boxes(row: Row) -> list[str]:
+def boxes(row: LogRow) -> list[str]:
     return [name for name in values(row) if name.startswith(BOX)]
 
 
@@ -217,14 +217,14 @@ def test_a_record_without_secrets_has_no_box() -> None:
 # somebody else's bytes
 
 
-def with_box(row: Row, name: str, value: Any) -> Row:
+def with_box(row: LogRow, name: str, value: Any) -> LogRow:
     """Return the row with another value in a box's place; no chain is verified here."""
     items = read_sealed(row.sealed, where="")
     items[name] = Sealed(salt=b64(bytes(16)), value=value)
     return msgspec.structs.replace(row, sealed=encode_fast(items))
 
 
-def refused(row: Row, **changes: Any) -> MalformedError:
+def refused(row: LogRow, **changes: Any) -> MalformedError:
     with pytest.raises(MalformedError) as error:
         read(row, **changes)
     assert error.value.where.startswith("record 0: ")
@@ -277,7 +277,7 @@ def test_a_nonce_of_any_length_opens_nothing(nonce: str) -> None:
     )
 
 
-def forged(sealed: dict[str, Sealed], **changes: Any) -> Row:
+def forged(sealed: dict[str, Sealed], **changes: Any) -> LogRow:
     """Return a row whose box holds these values, sealed with the right key in the right place."""
     import authguard_r.audit.sealed_envelopes as module
 
@@ -332,4 +332,4 @@ def test_a_box_has_a_shape() -> None:
         "box.person",
     ]
     name = "box.person"
-    assert len(msgspec.convert(values(row)[name], Box).nonce) == 16
+    assert len(msgspec.convert(values(row)[name], SealedEnvelope).nonce) == 16

@@ -24,10 +24,10 @@ from authguard_r.audit.record import Terminal
 from authguard_r.audit.tree import leaf_hash
 from authguard_r.audit.verify import (
     Anchor,
+    LogRow,
+    LogVerifier,
     Piece,
-    Row,
     Verification,
-    Verifier,
     of_checkpoint,
     verify_piece,
     verify_rows,
@@ -95,11 +95,11 @@ def started(monkeypatch: pytest.MonkeyPatch) -> Started:
     return found
 
 
-def checkpoint(size: int, rows: list[Row] = ROWS, *, witnessed: bool = False) -> Anchor:
+def checkpoint(size: int, rows: list[LogRow] = ROWS, *, witnessed: bool = False) -> Anchor:
     return of_checkpoint(checkpoint_of(rows[:size]), witnessed=witnessed)
 
 
-def alike(rows: list[Row], *anchors: Anchor, jobs: int = 2, alone: int = 0) -> Verification:
+def alike(rows: list[LogRow], *anchors: Anchor, jobs: int = 2, alone: int = 0) -> Verification:
     found = parallel.verify_in_pieces(iter(rows), jobs=jobs, anchors=anchors, alone=alone)
     assert found == verify_rows(rows, anchors=anchors)
     return found
@@ -134,7 +134,7 @@ def test_pieces_of_every_length_at_every_place_have_the_root_of_their_log() -> N
         for end in (cut + 1, cut + 6, 64, 70, 130):
             if end <= cut:
                 continue
-            verifier = Verifier(anchors=(checkpoint(end),))
+            verifier = LogVerifier(anchors=(checkpoint(end),))
             for first, last in ((0, cut), (cut, end)):
                 piece = verify_piece(ROWS[first:last], first, with_tree=True)
                 assert piece is not None
@@ -145,7 +145,7 @@ def test_pieces_of_every_length_at_every_place_have_the_root_of_their_log() -> N
 def test_a_piece_that_does_not_follow_is_not_joined() -> None:
     other = log_of(20, lambda n: set_(entry(n), time_ms=n))
     for rows, first in ((other[8:16], 8), (ROWS[9:16], 9), (ROWS[7:16], 7)):
-        verifier = Verifier()
+        verifier = LogVerifier()
         assert verifier.join(piece_of(ROWS[:8], 0))
         assert not verifier.join(piece_of(rows, first))
         # and nothing of it was taken in
@@ -153,13 +153,13 @@ def test_a_piece_that_does_not_follow_is_not_joined() -> None:
 
 
 def test_a_first_piece_has_to_begin_where_a_log_does() -> None:
-    assert not Verifier().join(piece_of(ROWS[1:9], 1))
+    assert not LogVerifier().join(piece_of(ROWS[1:9], 1))
     forged = set_(piece_of(ROWS[:9], 0), prev=b64(bytes(31) + b"\1"))
-    assert not Verifier().join(forged)
+    assert not LogVerifier().join(forged)
 
 
 def test_a_piece_never_passes_a_size_at_which_something_is_known() -> None:
-    verifier = Verifier(anchors=(checkpoint(5),))
+    verifier = LogVerifier(anchors=(checkpoint(5),))
     assert verifier.cuts == (5,)
     assert not verifier.join(piece_of(ROWS[:9], 0))
     assert verifier.finish(ROWS[:9]).anchored_size == 5
@@ -167,25 +167,25 @@ def test_a_piece_never_passes_a_size_at_which_something_is_known() -> None:
 
 def test_after_a_checkpoint_that_does_not_fit_nothing_is_joined() -> None:
     lying = set_(checkpoint(5), head=bytes(32))
-    verifier = Verifier(anchors=(lying, checkpoint(9)))
+    verifier = LogVerifier(anchors=(lying, checkpoint(9)))
     assert not verifier.join(piece_of(ROWS[:5], 0))
     assert not verifier.join(piece_of(ROWS[5:9], 5))
     assert verifier.finish(ROWS) == verify_rows(ROWS, anchors=(lying, checkpoint(9)))
     nothing = Anchor(by="checkpoint", size=0, root=bytes(32))
-    verifier = Verifier(anchors=(nothing,))
+    verifier = LogVerifier(anchors=(nothing,))
     assert not verifier.join(piece_of(ROWS[:5], 0))
     assert verifier.finish(ROWS) == verify_rows(ROWS, anchors=(nothing,))
 
 
 def test_a_root_over_pieces_whose_subtrees_nobody_made_does_not_fit() -> None:
-    verifier = Verifier(anchors=(checkpoint(9),))
+    verifier = LogVerifier(anchors=(checkpoint(9),))
     piece = verify_piece(ROWS[:9], 0, with_tree=False)
     assert piece is not None
     assert not verifier.join(piece)
     assert "signed root" in verifier.finish(()).fault
 
 
-def piece_of(rows: list[Row], first: int) -> Piece:
+def piece_of(rows: list[LogRow], first: int) -> Piece:
     made = verify_piece(rows, first, with_tree=True)
     assert made is not None
     return made
@@ -276,7 +276,7 @@ def test_a_number_that_no_log_has_is_told_alike() -> None:
 
 @pytest.mark.usefixtures("threads", "small")
 def test_what_reading_raises_comes_after_a_fault_before_it_and_before_one_after_it() -> None:
-    def read(rows: list[Row], fails_at: int, error: Exception) -> Iterator[Row]:
+    def read(rows: list[LogRow], fails_at: int, error: Exception) -> Iterator[LogRow]:
         for number, row in enumerate(rows):
             if number == fails_at:
                 raise error
@@ -311,20 +311,20 @@ def test_no_more_than_some_pieces_are_kept_however_long_the_log_is(
     most = 0
     joined: list[int] = []
 
-    def passing() -> Iterator[Row]:
+    def passing() -> Iterator[LogRow]:
         nonlocal most
         for row in ROWS:
             most = max(most, row.seq - (joined[-1] if joined else 0))
             yield row
 
-    real = Verifier.join
+    real = LogVerifier.join
 
-    def join(self: Verifier, piece: Piece) -> bool:
+    def join(self: LogVerifier, piece: Piece) -> bool:
         joined.append(piece.size)
         return real(self, piece)
 
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(Verifier, "join", join)
+        patched.setattr(LogVerifier, "join", join)
         assert parallel.verify_in_pieces(passing(), jobs=3, alone=0).whole
     least = min(len(row.record) + len(row.sealed) for row in ROWS)
     assert 8 <= most <= 20 * each // least + 8
@@ -337,7 +337,10 @@ def test_a_helper_answers_what_it_is_asked_until_its_line_is_closed() -> None:
 
     def other() -> None:
         got.append(line.recv_bytes())
-        for asked in (parallel._Asked(3, True, ROWS[3:9]), parallel._Asked(4, True, ROWS[3:9])):
+        for asked in (
+            parallel._PieceTask(3, True, ROWS[3:9]),
+            parallel._PieceTask(4, True, ROWS[3:9]),
+        ):
             line.send_bytes(msgspec.msgpack.encode(asked))
             got.append(line.recv_bytes())
         line.close()
@@ -378,7 +381,7 @@ def test_processes_tell_what_one_tells(started: Started, small: Callable[..., No
     assert all(helper.process.returncode is not None for helper in started)
 
 
-def helped(started: Started, rows: list[Row]) -> Iterator[Row]:
+def helped(started: Started, rows: list[LogRow]) -> Iterator[LogRow]:
     """Yield rows; from the middle on when the newest process listens, so that it has its part."""
     for row in rows:
         if row.seq == len(rows) // 2:
@@ -422,20 +425,20 @@ def test_a_process_that_is_killed_is_an_error_and_never_a_whole_log(
     assert all(helper.process.returncode is not None for helper in started)
 
 
-def killed_at_once(started: Started) -> Iterator[Row]:
+def killed_at_once(started: Started) -> Iterator[LogRow]:
     yield from ROWS[:100]
     killed(started[-1])
     yield from ROWS[100:]
 
 
-def killed_when_it_listens(started: Started) -> Iterator[Row]:
+def killed_when_it_listens(started: Started) -> Iterator[LogRow]:
     yield from ROWS[:100]
     wait_for(started[-1])
     killed(started[-1])
     yield from ROWS[100:]
 
 
-def killed_at_work(started: Started) -> Iterator[Row]:
+def killed_at_work(started: Started) -> Iterator[LogRow]:
     """It is stopped before it can answer what it is asked."""
     yield from ROWS[:100]
     helper = started[-1]
@@ -456,7 +459,7 @@ def killed(helper: parallel._Helper) -> None:
 def test_a_helper_that_died_before_it_is_asked_or_answers_otherwise_names_the_records(
     small: Callable[..., None],
 ) -> None:
-    given = parallel._Given(parallel._Asked(8, False, ROWS[8:16]), 1)
+    given = parallel._Given(parallel._PieceTask(8, False, ROWS[8:16]), 1)
     dead = REAL()
     os.kill(dead.process.pid, signal.SIGKILL)
     dead.process.wait()
@@ -480,7 +483,7 @@ def test_a_helper_that_died_before_it_is_asked_or_answers_otherwise_names_the_re
 
 
 def test_an_interrupt_ends_every_process(started: Started, small: Callable[..., None]) -> None:
-    def interrupted() -> Iterable[Row]:
+    def interrupted() -> Iterable[LogRow]:
         yield from ROWS[:200]
         raise KeyboardInterrupt
 
@@ -514,7 +517,7 @@ def test_a_helper_that_is_free_when_nothing_is_left_is_given_nothing(threads: No
     with parallel._Helpers(1) as helpers:
         helpers.start()
         (helper,) = helpers.answers(wait_for=True)
-        course = parallel._Course(reading, Verifier(), helpers, 0)
+        course = parallel._Course(reading, LogVerifier(), helpers, 0)
         course._hand_out()
         assert helper.is_free
         assert course.run() == verify_rows(())
@@ -525,5 +528,5 @@ def test_a_number_that_cannot_be_sent_leaves_a_helper_free(threads: None) -> Non
     with parallel._Helpers(1) as helpers:
         helpers.start()
         (helper,) = helpers.answers(wait_for=True)
-        given = parallel._Given(parallel._Asked(0, False, [row]), 0)
+        given = parallel._Given(parallel._PieceTask(0, False, [row]), 0)
         assert (helper.ask(given), helper.is_free, given.is_answered) == (False, True, False)

@@ -25,7 +25,7 @@ from authguard_r.audit.record import (
     read_record,
     read_sealed,
 )
-from authguard_r.audit.verify import Anchor, Row, Verification, of_checkpoint, verify_rows
+from authguard_r.audit.verify import Anchor, LogRow, Verification, of_checkpoint, verify_rows
 from authguard_r.core.chain import GENESIS, Link, link
 from authguard_r.core.encoding import MAX_BYTES, b64
 from authguard_r.core.errors import MalformedError
@@ -37,11 +37,11 @@ ROWS = log_of(SIZE)
 set_ = msgspec.structs.replace
 
 
-def checkpoint(size: int, *, witnessed: bool = False, rows: list[Row] = ROWS) -> Anchor:
+def checkpoint(size: int, *, witnessed: bool = False, rows: list[LogRow] = ROWS) -> Anchor:
     return of_checkpoint(checkpoint_of(rows[:size]), witnessed=witnessed)
 
 
-def broken(rows: list[Row], where: str, fault: str, *anchors: Anchor) -> Verification:
+def broken(rows: list[LogRow], where: str, fault: str, *anchors: Anchor) -> Verification:
     found = verify_rows(rows, anchors=anchors)
     assert not found.whole
     assert (found.where, found.anchored, found.anchored_size) == (where, "unanchored", 0)
@@ -49,18 +49,18 @@ def broken(rows: list[Row], where: str, fault: str, *anchors: Anchor) -> Verific
     return found
 
 
-def with_row(at: int, **fields: bytes | int) -> list[Row]:
+def with_row(at: int, **fields: bytes | int) -> list[LogRow]:
     return [set_(row, **fields) if row.seq == at else row for row in ROWS]
 
 
-def with_record(at: int, **fields: Any) -> list[Row]:
+def with_record(at: int, **fields: Any) -> list[LogRow]:
     return [edited(row, **fields) if row.seq == at else row for row in ROWS]
 
 
 # the second opinion: the definition, word for word, with every object encoded by itself
 
 
-def literal(rows: list[Row]) -> int | None:
+def literal(rows: list[LogRow]) -> int | None:
     """Return the number of the first record that is not sound, None when all are."""
     prev = GENESIS
     for seq, row in enumerate(rows):
@@ -82,14 +82,14 @@ def literal(rows: list[Row]) -> int | None:
     return None
 
 
-def agreed(rows: list[Row]) -> None:
+def agreed(rows: list[LogRow]) -> None:
     found, first = verify_rows(rows), literal(rows)
     assert found.whole is (first is None), found
     assert found.where == ("" if first is None else f"record {first}")
 
 
 def test_the_fast_reading_has_the_fields_of_the_definition() -> None:
-    assert verify._Told.__struct_fields__ == Record.__struct_fields__
+    assert verify._RecordFields.__struct_fields__ == Record.__struct_fields__
     assert verify._Linked.__struct_fields__ == Link.__struct_fields__
 
 
@@ -241,7 +241,7 @@ def test_the_first_fault_comes_before_a_later_checkpoint() -> None:
 # bytes that are no record
 
 
-def spelled(row: Row) -> dict[str, Any]:
+def spelled(row: LogRow) -> dict[str, Any]:
     plain: dict[str, Any] = json.loads(row.record)
     return plain
 
@@ -304,14 +304,14 @@ def test_a_commitment_that_is_none_is_named_when_its_value_is_gone() -> None:
         found = verify_rows(rows)
         assert (found.whole, found.where) == (False, "record 2")
     # and when it was chained so, by whoever wrote the log
-    forged = msgspec.json.decode(ROWS[2].record, type=verify._Told)
+    forged = msgspec.json.decode(ROWS[2].record, type=verify._RecordFields)
     told = set_(forged, committed={**forged.committed, "gone": "A"})
     body = {"kind": told.kind, "open": told.open, "committed": told.committed, "v": 1}
     stated = b64(sha256(verify._EVIDENCE + as_record(body)).digest())
     linked = set_(told.link, evidence=stated)
     record = as_record(msgspec.to_builtins(set_(told, link=linked)))
     own = sha256(verify._AUDIT + as_record(msgspec.to_builtins(linked))).digest()
-    broken([*ROWS[:2], Row(2, record, ROWS[2].sealed, own)], "record 2", "expected a digest")
+    broken([*ROWS[:2], LogRow(2, record, ROWS[2].sealed, own)], "record 2", "expected a digest")
 
 
 def test_a_text_that_spells_the_marks_of_a_record_moves_no_bytes() -> None:
@@ -367,7 +367,7 @@ def test_the_fast_reading_and_the_definition_agree_on_random_damage() -> None:
 def test_rows_are_read_once_in_order_and_none_is_kept(size: int) -> None:
     seen: list[int] = []
 
-    def passing() -> Iterator[Row]:
+    def passing() -> Iterator[LogRow]:
         for row in ROWS[:size]:
             seen.append(row.seq)
             yield row

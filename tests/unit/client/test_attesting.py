@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from authguard_r.client.attesting import Attester, AttestingEnd, Seen, since
-from authguard_r.client.link import Log
+from authguard_r.client.attesting import Attester, AttestingEnd, Measurement, since
+from authguard_r.client.link import ProcessLog
 from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
 from authguard_r.sim.sight import snapshot_of
@@ -28,7 +28,7 @@ def end(readied: list[bool]) -> AttestingEnd:
         trust=lambda: read_trust(scenarios.trust_folder()),
         look=lambda now: None,
         ready=lambda: readied.append(True),
-        log=Log(),
+        log=ProcessLog(),
     )
 
 
@@ -64,7 +64,7 @@ def test_a_message_that_may_have_been_on_its_way_since_before_a_fence_does_not_c
 ) -> None:
     """A message says nothing of when it was measured; it may have taken 250 ms."""
     told = snapshot_of(scenarios.world(), robot=scenarios.RID, epoch=0, seq=0)
-    signed = since(Seen(told, 1_000 + after_ms, 250), 7, 1_000)
+    signed = since(Measurement(told, 1_000 + after_ms, 250), 7, 1_000)
     assert signed.pose is not None
     values = (signed.pose, *signed.readings.values())
     assert {value.fence for value in values} == {fence}
@@ -72,6 +72,6 @@ def test_a_message_that_may_have_been_on_its_way_since_before_a_fence_does_not_c
 
 def test_the_age_of_a_message_is_added_to_its_time_on_the_way() -> None:
     told = snapshot_of(scenarios.world(), robot=scenarios.RID, epoch=0, seq=0, pose_age_ms=10)
-    signed = since(Seen(told, 1_255, 250), 7, 1_000)
+    signed = since(Measurement(told, 1_255, 250), 7, 1_000)
     assert signed.pose is not None
     assert (signed.pose.fence, signed.readings["holding"].fence) == (0, 7)

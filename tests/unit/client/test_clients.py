@@ -33,7 +33,6 @@ from authguard_r.wire.faults import from_fault, to_fault
 from authguard_r.wire.frames import HEADER_BYTES, frame, read_body
 from authguard_r.wire.messages import (
     MAX_ANSWER,
-    Act,
     ClientRole,
     Ended,
     Fault,
@@ -42,6 +41,7 @@ from authguard_r.wire.messages import (
     Kind,
     Mode,
     Nothing,
+    OrderKind,
     Renew,
     Stood,
 )
@@ -119,7 +119,7 @@ def caught(face: Face, path: Path, role: ClientRole, act: Any, **how: Any) -> Au
         (OPERATOR, lambda c: c.explain(4), {"seq": 4}),
         (OPERATOR, lambda c: c.explain(), {"seq": None}),
         (OPERATOR, lambda c: c.evaluate(b"[]"), {"plan": b"[]", "dialect": "auto"}),
-        (OPERATOR, lambda c: c.approve(b"t"), {"act": Act.APPROVE, "token": b"t"}),
+        (OPERATOR, lambda c: c.approve(b"t"), {"act": OrderKind.APPROVE, "token": b"t"}),
         (PLANNER, lambda c: c.propose(b"[]", key="k"), {"key": "k", "plan": b"[]"}),
     ],
 )
@@ -135,20 +135,20 @@ def test_a_request_says_what_was_asked_and_returns_the_gate_s_answer(
 @pytest.mark.parametrize(
     ("act", "kind"),
     [
-        (lambda c: c.activate(b"t", confirmation=b"c"), Act.ACTIVATE),
-        (lambda c: c.issue(b"t", confirmation=b"c"), Act.ISSUE),
-        (lambda c: c.command(b"t"), Act.COMMAND),
-        (lambda c: c.select(b"t"), Act.SELECT),
-        (lambda c: c.template(b"t", confirmation=b"c"), Act.TEMPLATE),
+        (lambda c: c.activate(b"t", confirmation=b"c"), OrderKind.ACTIVATE),
+        (lambda c: c.issue(b"t", confirmation=b"c"), OrderKind.ISSUE),
+        (lambda c: c.command(b"t"), OrderKind.COMMAND),
+        (lambda c: c.select(b"t"), OrderKind.SELECT),
+        (lambda c: c.template(b"t", confirmation=b"c"), OrderKind.TEMPLATE),
     ],
 )
 def test_an_order_returns_the_standing_and_nothing_else_passes_for_one(
-    face: Face, act: Any, kind: Act
+    face: Face, act: Any, kind: OrderKind
 ) -> None:
     asked: list[Any] = []
     with listening(answering({"standing": {"mid": "m"}}, asked=asked)) as path:
         assert face(path, OPERATOR, act) == {"mid": "m"}
-    confirmed = kind in {Act.ACTIVATE, Act.ISSUE, Act.TEMPLATE}
+    confirmed = kind in {OrderKind.ACTIVATE, OrderKind.ISSUE, OrderKind.TEMPLATE}
     told = (asked[0].act, asked[0].token, asked[0].confirmation)
     assert told == (kind, b"t", b"c" if confirmed else None)
     with listening(answering({"standing": None})) as path:
@@ -158,13 +158,13 @@ def test_an_order_returns_the_standing_and_nothing_else_passes_for_one(
 @pytest.mark.parametrize(
     ("act", "kind", "called"),
     [
-        (lambda c: c.revocations(b"l"), Act.REVOCATIONS, "revocations"),
-        (lambda c: c.accept_store(b"l"), Act.ACCEPT_STORE, "accepted"),
-        (lambda c: c.shred(b"l"), Act.SHRED, "shredding"),
+        (lambda c: c.revocations(b"l"), OrderKind.REVOCATIONS, "revocations"),
+        (lambda c: c.accept_store(b"l"), OrderKind.ACCEPT_STORE, "accepted"),
+        (lambda c: c.shred(b"l"), OrderKind.SHRED, "shredding"),
     ],
 )
 def test_what_is_no_mission_s_is_handed_in_as_it_is_and_what_became_of_it_is_told(
-    face: Face, act: Any, kind: Act, called: str
+    face: Face, act: Any, kind: OrderKind, called: str
 ) -> None:
     asked: list[Any] = []
     with listening(answering({called: {"number": 2}}, asked=asked)) as path:

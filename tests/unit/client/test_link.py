@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from authguard_r.client.driver import BOUNDS
-from authguard_r.client.link import MAX_UNREAD, Caller, Log
+from authguard_r.client.link import MAX_UNREAD, PersistentConnection, ProcessLog
 from authguard_r.client.proof import Proven
 from authguard_r.core.identifiers import Identifier
 from authguard_r.keys.signer import folder_signer
@@ -42,8 +42,8 @@ class Heard:
         self.came.append("closed")
 
 
-def caller(path: Path, listener: Heard, trust: Path | None = None) -> Caller:
-    return Caller(
+def caller(path: Path, listener: Heard, trust: Path | None = None) -> PersistentConnection:
+    return PersistentConnection(
         path,
         role=ClientRole.CONTROLLER,
         client=Identifier("controller-1"),
@@ -51,7 +51,7 @@ def caller(path: Path, listener: Heard, trust: Path | None = None) -> Caller:
         trust=lambda: read_trust(trust or scenarios.trust_folder()),
         bounds=BOUNDS,
         listener=listener,
-        log=Log(),
+        log=ProcessLog(),
     )
 
 

@@ -11,8 +11,8 @@ from tempfile import mkdtemp
 
 import pytest
 
-from authguard_r.client.attesting import Seen
-from authguard_r.client.link import Log
+from authguard_r.client.attesting import Measurement
+from authguard_r.client.link import ProcessLog
 from authguard_r.client.sensing import SENSORS, listen, read_raw
 from authguard_r.sim.sensors import reading_frame
 from authguard_r.sim.sight import snapshot_of
@@ -31,11 +31,13 @@ async def until(holds: Callable[[], object]) -> None:
             await asyncio.sleep(0.01)
 
 
-async def told(run: Path, said: list[bytes]) -> list[Seen]:
+async def told(run: Path, said: list[bytes]) -> list[Measurement]:
     """Serve one thing to each connection, the last again and again; return what was taken."""
-    found: list[Seen] = []
+    found: list[Measurement] = []
     listening = asyncio.ensure_future(
-        listen(run, lambda item, now: found.append(read_raw(item, now, scenarios.RID)), Log())
+        listen(
+            run, lambda item, now: found.append(read_raw(item, now, scenarios.RID)), ProcessLog()
+        )
     )
     await asyncio.sleep(0)  # nobody is there yet
     open_ones: list[asyncio.StreamWriter] = []

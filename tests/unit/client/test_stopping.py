@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 from authguard_r.client import AsyncGateClient, GateClient, StopEverywhere, stop_robot, stopping
-from authguard_r.client.stopping import Answers, Part, Reached
+from authguard_r.client.stopping import Answers, StopPath, StopReply
 from authguard_r.core.errors import (
     AuthenticityError,
     AuthGuardError,
@@ -58,11 +58,11 @@ async def hangs_up(peer: Peer) -> None:
 def serving(lane: Talk | None, gate: Talk | None) -> Iterator[Path]:
     """Serve the two parts in one folder."""
     with ExitStack() as stack:
-        first = stack.enter_context(listening(lane or silent, Part.LANE))
+        first = stack.enter_context(listening(lane or silent, StopPath.LANE))
         run = first.parent
         if gate is not None:
-            second = stack.enter_context(listening(gate, Part.GATE))
-            (run / Part.GATE).symlink_to(second)
+            second = stack.enter_context(listening(gate, StopPath.GATE))
+            (run / StopPath.GATE).symlink_to(second)
         if lane is None:
             first.unlink()
         yield run
@@ -164,11 +164,11 @@ def test_a_part_that_told_a_controller_and_is_gone_since_is_given_up(
 ) -> None:
     monkeypatch.setattr(stopping, "GONE_S", 0.3)
 
-    async def main(run: Path) -> Reached:
+    async def main(run: Path) -> StopReply:
         made = StopEverywhere(run)
 
         def leave(answers: Answers) -> None:
-            (run / Part.LANE).unlink(missing_ok=True)
+            (run / StopPath.LANE).unlink(missing_ok=True)
 
         monkeypatch.setattr(stopping, "TELL_S", 0.2)
         return await made.confirmed(leave)
@@ -213,7 +213,7 @@ def test_who_gives_up_learns_how_far_it_came() -> None:
 
     with serving(silent, hangs_up) as run:
         made = asyncio.run(given_up(run))
-    lane, gate = made.answers[Part.LANE], made.answers[Part.GATE]
+    lane, gate = made.answers[StopPath.LANE], made.answers[StopPath.GATE]
     assert (lane.why, lane.is_over, lane.answer) == ("", False, None)
     assert "closed the connection" in gate.why
 
@@ -229,7 +229,7 @@ def test_where_nobody_serves_it_is_said_after_a_while(
     assert gone.value.where == str(tmp_path)
     assert time.monotonic() - begun < stopping.DEAD_S
     with socket.socket(socket.AF_UNIX) as died:
-        died.bind(str(tmp_path / Part.GATE))
+        died.bind(str(tmp_path / StopPath.GATE))
     begun = time.monotonic()
     with pytest.raises(EnvironmentFault, match="no gate answers"):
         asyncio.run(stop_robot(tmp_path))
@@ -256,7 +256,7 @@ def test_a_role_that_is_denied_is_followed_by_the_next_one() -> None:
     roles = (ClientRole.OPERATOR, ClientRole.AUDITOR, ClientRole.PLANNER)
     with serving(only(ClientRole.PLANNER), None) as run:
         made, _ = stop(run, roles=roles)
-    assert made.answers[Part.LANE].role is ClientRole.PLANNER
+    assert made.answers[StopPath.LANE].role is ClientRole.PLANNER
     with (
         serving(only(), only()) as run,
         pytest.raises(AuthenticityError, match="`operator`, `auditor`, `planner`") as denied,
@@ -275,8 +275,8 @@ def test_an_impostor_s_word_does_not_count_where_a_proof_is_asked_for() -> None:
     trust = read_trust(scenarios.trust_folder())
     with serving(impostor, STANDS) as run:
         made, _ = stop(run, verifier=trust, robot=scenarios.RID)
-        assert made.answers[Part.GATE].answer is not None
-        assert made.answers[Part.LANE].answer is None
+        assert made.answers[StopPath.GATE].answer is not None
+        assert made.answers[StopPath.LANE].answer is None
     with serving(impostor, None) as run, pytest.raises(AuthenticityError):
         stop(run, verifier=trust, robot=scenarios.RID)
 
@@ -312,7 +312,7 @@ def looping(path: Path, **how: Any) -> Any:
 
 Face = Callable[..., Any]
 each_face = pytest.mark.parametrize("face", [blocking, in_a_loop, looping])
-each_part = pytest.mark.parametrize("part", list(Part))
+each_part = pytest.mark.parametrize("part", list(StopPath))
 
 
 async def stands_and_stays(peer: Peer) -> None:
@@ -332,7 +332,7 @@ async def welcomes_only(peer: Peer) -> None:
 @each_face
 @each_part
 def test_a_client_stops_over_its_connection_and_by_the_other_part_under_one_name(
-    face: Face, part: Part
+    face: Face, part: StopPath
 ) -> None:
     asked: list[tuple[str, str]] = []
     both = threading.Event()
@@ -370,13 +370,13 @@ def test_a_client_whose_connection_ends_stops_by_a_new_one(face: Face, other: Ta
         await (silent if other is not None else STANDS)(peer)
 
     with serving(other, talk) as run:
-        assert face(run / Part.GATE)["stopped"] is True
+        assert face(run / StopPath.GATE)["stopped"] is True
 
 
 @each_face
 def test_a_client_whose_part_hangs_stops_by_the_other_one(face: Face) -> None:
     with serving(STANDS, welcomes_only) as run:
-        assert face(run / Part.GATE)["stopped"] is True
+        assert face(run / StopPath.GATE)["stopped"] is True
 
 
 @each_face
@@ -385,7 +385,7 @@ def test_a_client_that_nobody_answers_gives_up_after_its_time(face: Face) -> Non
         serving(silent, welcomes_only) as run,
         pytest.raises(EnvironmentFault, match="within 300 ms"),
     ):
-        face(run / Part.GATE, timeout_ms=300)
+        face(run / StopPath.GATE, timeout_ms=300)
 
 
 def test_a_client_goes_on_with_its_connection_after_a_stop_that_the_other_part_confirmed() -> None:
@@ -399,7 +399,7 @@ def test_a_client_goes_on_with_its_connection_after_a_stop_that_the_other_part_c
 
     with (
         serving(STANDS, talk) as run,
-        GateClient.connect(run / Part.GATE, role=ClientRole.OPERATOR) as client,
+        GateClient.connect(run / StopPath.GATE, role=ClientRole.OPERATOR) as client,
     ):
         assert client.stop()["stopped"] is True
         assert client.status() == {"robot": "r"}
@@ -413,7 +413,7 @@ def test_a_client_that_is_given_no_such_answer_says_so() -> None:
         await peer.gone()
 
     with serving(None, talk) as run, pytest.raises(MalformedError, match="said"):
-        blocking(run / Part.GATE)
+        blocking(run / StopPath.GATE)
 
 
 def test_a_client_without_a_file_left_stops_over_its_connection() -> None:
@@ -434,7 +434,7 @@ with GateClient.connect(Path(sys.argv[1]), role=ClientRole.PLANNER) as client:
 """
     with serving(silent, stands_and_stays) as run:
         done = subprocess.run(
-            [sys.executable, "-c", script, str(run / Part.GATE)],
+            [sys.executable, "-c", script, str(run / StopPath.GATE)],
             capture_output=True,
             text=True,
             check=False,
@@ -458,7 +458,7 @@ def test_a_client_without_a_thread_left_stops_over_its_connection(
             return client.stop("a child")
 
     with serving(silent, stands_and_stays) as run:
-        assert asyncio.run(main(run / Part.GATE))["stopped"] is True
+        assert asyncio.run(main(run / StopPath.GATE))["stopped"] is True
 
 
 def test_a_stop_leaves_the_thread_s_own_event_loop_as_it_is() -> None:
@@ -466,7 +466,7 @@ def test_a_stop_leaves_the_thread_s_own_event_loop_as_it_is() -> None:
         loop = asyncio.new_event_loop()
         asyncio.set_event_loop(loop)
         try:
-            assert blocking(run / Part.GATE)["stopped"] is True
+            assert blocking(run / StopPath.GATE)["stopped"] is True
             assert asyncio.get_event_loop_policy().get_event_loop() is loop
         finally:
             asyncio.set_event_loop(None)
@@ -496,7 +496,7 @@ def test_who_interrupts_a_stop_gives_up_at_once(face: Face) -> None:
         timer.start()
         try:
             with pytest.raises(KeyboardInterrupt):
-                face(run / Part.GATE, timeout_ms=20_000)
+                face(run / StopPath.GATE, timeout_ms=20_000)
         finally:
             signal.signal(signal.SIGINT, before)
         assert time.monotonic() - begun < 10
@@ -515,7 +515,7 @@ def test_a_connected_client_believes_no_impostor_at_the_other_part(face: Face) -
         serving(impostor, welcomes_only) as run,
         pytest.raises(AuthGuardError),
     ):
-        face(run / Part.GATE, verifier=trust, robot=scenarios.RID, timeout_ms=400)
+        face(run / StopPath.GATE, verifier=trust, robot=scenarios.RID, timeout_ms=400)
 
 
 @pytest.mark.parametrize("why", ["\udcff broken", "x" * 5_000])
@@ -555,7 +555,7 @@ def test_a_part_that_has_answered_once_and_hangs_then_is_waited_for_and_named(
     monkeypatch.setattr(stopping, "TELL_S", 0.5)
     with serving(talk, None) as run:
         made = StopEverywhere(run)
-        reached = asyncio.run(made.confirmed(lambda said: hung.append(said[Part.LANE].hangs)))
+        reached = asyncio.run(made.confirmed(lambda said: hung.append(said[StopPath.LANE].hangs)))
     assert True in hung
     assert reached.answer is not None
     assert reached.answer.stopped is True

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from authguard_r.authoring.compile.answers import apply, compile_plain
-from authguard_r.authoring.compile.card import Demand, card_digest, review
+from authguard_r.authoring.compile.card import OrganizationDemand, card_digest, review
 from authguard_r.authoring.compile.difference import compare, is_next
 from authguard_r.authoring.compile.lint import lint
 from authguard_r.authoring.compile.units import to_integer
@@ -231,7 +231,7 @@ def test_the_card_asks_as_many_as_the_gate_asks_of_the_riskiest_action(
     own = mission.risk_policy
     types = {**own.types, "navigate": navigate}
     theirs = SET(own, tau_1=thresholds[0], tau_2=thresholds[1], t=people, types=types)
-    demand = Demand(organization="hospital", version=1, policy=theirs)
+    demand = OrganizationDemand(organization="hospital", version=1, policy=theirs)
     lines = review(mission, site, demand=demand)
     said = next(line.strip() for line in lines if line.startswith("    asks "))
     verified = scenarios.verified(mission)
@@ -255,7 +255,7 @@ def test_the_card_asks_as_many_as_the_gate_asks_of_the_riskiest_action(
 def test_roles_that_no_two_policies_share_are_said_to_be_nobody() -> None:
     own = scenarios.mission().risk_policy
     policy = SET(own, roles=("site_authority",), valid_ms=own.valid_ms * 2)
-    demand = Demand(organization="hospital", version=3, policy=policy)
+    demand = OrganizationDemand(organization="hospital", version=3, policy=policy)
     card = review(scenarios.mission(), scenarios.site(), demand=demand)
     line = "  of the roles that both name: none, so nobody can answer; a request lives 2 min"
     assert line in card

@@ -15,7 +15,7 @@ from authguard_r.core.encoding import Tag, digest_of, encode, encode_fast
 from authguard_r.core.errors import AuthGuardError, MalformedError, RefusedError
 from authguard_r.enforcement.confirmation import (
     Confirmation,
-    How,
+    ConfirmationMode,
     LintCode,
     confirm,
     confirmation_bytes,
@@ -32,7 +32,7 @@ def confirmed(**changes: Any) -> Confirmation:
     said = confirm(
         mission,
         card=card_digest(review(mission, scenarios.site())),
-        how=How.INTERACTIVE,
+        how=ConfirmationMode.INTERACTIVE,
         accepted=(LintCode.NEVER_ASKS, LintCode.BEYOND_PROFILE),
         now=scenarios.NOW,
     )

@@ -23,7 +23,7 @@ from authguard_r.authoring.compile.answers import (
 from authguard_r.authoring.compile.change import to_draft
 from authguard_r.authoring.compile.names import names_of
 from authguard_r.authoring.compile.path import quiet_path, reachable
-from authguard_r.authoring.compile.questions import Questions
+from authguard_r.authoring.compile.questions import CompileQuestions
 from authguard_r.authoring.compile.units import to_integer
 from authguard_r.core.errors import ClarificationError, MalformedError
 from authguard_r.core.mission import Mission
@@ -310,7 +310,7 @@ def test_a_name_of_several_things_is_asked_about() -> None:
     twice = SET(site.objects["sharps-bin"], names=("P1",))
     shared = SET(site.objects["package-p2"], names=("Dock",))
     double = SET(site, objects={**site.objects, "sharps-bin": twice, "package-p2": shared})
-    questions = Questions()
+    questions = CompileQuestions()
     names = names_of(double)
     assert names.resolve("P1", "object", where="o", questions=questions) is None
     assert names.value("Dock", where="v", questions=questions) is None

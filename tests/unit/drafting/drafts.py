@@ -7,7 +7,7 @@ from typing import Any
 
 from authguard_r.authoring.compile.answers import compile_plain
 from authguard_r.authoring.drafting.profile import read_profile
-from authguard_r.authoring.drafting.proposal import Proposal
+from authguard_r.authoring.drafting.proposal import DraftProposal
 from authguard_r.authoring.drafting.template import TemplateProposer
 from authguard_r.core.mission import Grant, Mission
 from authguard_r.core.quantities import Now
@@ -26,7 +26,7 @@ def propose(
     robot: str | None = "courier-1",
     given: dict[str, str] | None = None,
     **settled: str,
-) -> Proposal:
+) -> DraftProposal:
     """Return the grammar's proposal; `__` in a settled name stands for a dot."""
     answers = {name.replace("__", "."): value for name, value in settled.items()}
     proposer = TemplateProposer(read_profile(), NOW_MS)
@@ -38,12 +38,12 @@ def propose(
     )
 
 
-def fields(proposal: Proposal) -> dict[str, tuple[str, ...]]:
+def fields(proposal: DraftProposal) -> dict[str, tuple[str, ...]]:
     """Return the questions as candidates by field."""
     return {question.field: question.candidates for question in proposal.questions}
 
 
-def asked_about(proposal: Proposal, words: str) -> list[str]:
+def asked_about(proposal: DraftProposal, words: str) -> list[str]:
     """Return the fields whose question quotes these words as not understood."""
     return [
         question.field
@@ -56,7 +56,7 @@ def _quoted(text: str) -> list[str]:
     return text.split('"')[1::2]
 
 
-def compiled(proposal: Proposal, site: Site | None = None) -> Mission:
+def compiled(proposal: DraftProposal, site: Site | None = None) -> Mission:
     """Return the mission that a proposal without questions compiles to."""
     assert proposal.questions == ()
     return compile_plain(

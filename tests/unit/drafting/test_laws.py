@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from authguard_r.authoring.compile.answers import compile_plain
 from authguard_r.authoring.drafting import frames
-from authguard_r.authoring.drafting.proposal import Proposal
+from authguard_r.authoring.drafting.proposal import DraftProposal
 from authguard_r.authoring.drafting.restraint import LIMITING, limits
 from authguard_r.core.errors import ClarificationError, MalformedError
 from authguard_r.core.quantities import Now
@@ -88,7 +88,9 @@ def named(site: Site, sentence: str, settled: dict[str, str]) -> set[str]:
     return found
 
 
-def require_sound(site: Site, proposal: Proposal, sentence: str, settled: dict[str, str]) -> None:
+def require_sound(
+    site: Site, proposal: DraftProposal, sentence: str, settled: dict[str, str]
+) -> None:
     """Hold a draft to the law: things named, places named or where named things are."""
     may = named(site, sentence, settled)
     robot = site.robots[proposal.draft["robot"]]
@@ -103,7 +105,9 @@ def require_sound(site: Site, proposal: Proposal, sentence: str, settled: dict[s
                 assert free or region in may | homes, (sentence, row)
 
 
-def answer_all(sentence: str, site: Site, robot: str, data: Any) -> tuple[Proposal, dict[str, str]]:
+def answer_all(
+    sentence: str, site: Site, robot: str, data: Any
+) -> tuple[DraftProposal, dict[str, str]]:
     """Answer questions with drawn candidates until none is open or one needs words."""
     settled = dict(GIVEN)
     for _ in range(8):

@@ -19,7 +19,7 @@ from authguard_r.authoring.drafting.measures import (
     read_number,
 )
 from authguard_r.authoring.drafting.profile import measure, read_profile
-from authguard_r.authoring.drafting.tokens import Kind, runs, tokenize
+from authguard_r.authoring.drafting.tokens import TokenKind, runs, tokenize
 from authguard_r.core.errors import MalformedError
 from fixtures import household_sites, scenarios
 from fixtures.cases import case
@@ -66,7 +66,7 @@ def test_tokens_lose_nothing_but_space_and_joints(text: str) -> None:
         "_", ""
     )
     assert all(text[token.at :].startswith(token.text) for token in tokens)
-    assert all(token.kind is not Kind.MARK or len(token.text) == 1 for token in tokens)
+    assert all(token.kind is not TokenKind.MARK or len(token.text) == 1 for token in tokens)
 
 
 def test_a_name_means_its_owners_and_nothing_alike() -> None:
@@ -194,7 +194,7 @@ def test_the_profile_names_no_thing_place_person_or_data_right() -> None:
 
 
 def test_every_verb_opens_a_frame_with_roles() -> None:
-    assert {verb.frame for verb in frames.VERBS.values()} == set(frames.Frame)
+    assert {verb.frame for verb in frames.VERBS.values()} == set(frames.VerbFrame)
     for name in ("turning", "closing", "putting", "pouring"):
         assert any((stem,) in frames.VERBS for stem in frames.gerund(name))
     assert frames.gerund("ring") == frames.gerund("red") == ()

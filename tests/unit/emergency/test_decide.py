@@ -16,7 +16,7 @@ from authguard_r.core.provenance import Label
 from authguard_r.core.quantities import Now
 from authguard_r.core.state import AttestedState, Reading, attest
 from authguard_r.enforcement.emergency.decide import (
-    Scene,
+    EmergencyScene,
     action_of,
     decide_emergency,
     permit_emergency,
@@ -44,8 +44,8 @@ def state(at: str = "station-103", **changes: Any) -> AttestedState:
     return attest(snapshot, FACTS, arrived_mono_ms=scenarios.NOW.mono_ms)
 
 
-def scene(**changes: Any) -> Scene:
-    return Scene(**{"state": state(), "facts": FACTS, "now": scenarios.NOW, **changes})
+def scene(**changes: Any) -> EmergencyScene:
+    return EmergencyScene(**{"state": state(), "facts": FACTS, "now": scenarios.NOW, **changes})
 
 
 def why(name: str = "go-safe", caller: Caller = Caller.PLANNER, **changes: Any) -> list[str]:

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from authguard_r.core.action import scope_of
-from authguard_r.core.approval import Approval, Verdict
+from authguard_r.core.approval import Approval, ApprovalVerdict
 from authguard_r.core.checks.approval import Situation
 from authguard_r.core.encoding import Tag, b64, digest_of, encode, unb64
 from authguard_r.core.errors import MalformedError
@@ -42,7 +42,7 @@ APPROVAL = Approval(
     situation=digest_of(Tag.SITUATION, SITUATION),
     counter=1,
     expires_ms=scenarios.START_MS,
-    verdict=Verdict.APPROVE,
+    verdict=ApprovalVerdict.APPROVE,
 )
 FILES: dict[str, Any] = {
     "group": MADE.group,

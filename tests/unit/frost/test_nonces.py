@@ -14,7 +14,7 @@ import pytest
 from authguard_r.core.errors import RefusedError, StoreError
 from authguard_r.core.reasons import Reason
 from authguard_r.frost import signing
-from authguard_r.frost.messages import Commitment, digest, written
+from authguard_r.frost.messages import NonceCommitment, digest, written
 from authguard_r.frost.nonces import NonceStore
 from fixtures.threshold_groups import dealt
 
@@ -31,7 +31,7 @@ os.kill(os.getpid(), 9)
 """
 
 
-def kept(folder: Path) -> Commitment:
+def kept(folder: Path) -> NonceCommitment:
     return NonceStore(folder).put(signing.new_nonces(SHARE))
 
 

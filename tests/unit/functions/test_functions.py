@@ -18,7 +18,7 @@ import pytest
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Digest
 from authguard_r.integrations.functions import functions as module
-from authguard_r.integrations.functions.functions import Caller, Functions, Tool
+from authguard_r.integrations.functions.functions import Functions, FunctionTool, WaitingCaller
 from authguard_r.integrations.tools.server import CallError
 from fixtures import scenarios
 
@@ -26,7 +26,7 @@ from fixtures import scenarios
 def with_tool(function: Any, *, is_async: bool = False, changed: Any = None) -> Functions:
     made = Functions(changed or (lambda: None))
     made.tools = {
-        "scan": Tool(
+        "scan": FunctionTool(
             name="scan",
             function=None if is_async else function,
             coroutine=function if is_async else None,
@@ -36,9 +36,9 @@ def with_tool(function: Any, *, is_async: bool = False, changed: Any = None) -> 
     return made
 
 
-def waiting(loop: asyncio.AbstractEventLoop, **beside: Any) -> Caller:
+def waiting(loop: asyncio.AbstractEventLoop, **beside: Any) -> WaitingCaller:
     """Return a caller whose proposal was released."""
-    caller = Caller(tool="scan", beside=beside, context=contextvars.Context(), loop=loop)
+    caller = WaitingCaller(tool="scan", beside=beside, context=contextvars.Context(), loop=loop)
     caller.told({"ticket": scenarios.TICKET})
     caller.told({})  # the first word counts
     return caller
@@ -56,7 +56,9 @@ def test_a_release_is_a_callers_by_its_ticket_and_by_nothing_else() -> None:
             answer = await made.call("scan", {}, 10.0, ticket=ticket)
             assert answer.told is not None
             assert made.take(answer.told.content).value is value
-        made.caller = Caller(tool="scan", beside={}, context=contextvars.Context(), loop=here)
+        made.caller = WaitingCaller(
+            tool="scan", beside={}, context=contextvars.Context(), loop=here
+        )
         with pytest.raises(CallError, match="in time"):  # nobody has said whose it is
             await made.call("scan", {}, 0.01, ticket=scenarios.TICKET)
         made.close()

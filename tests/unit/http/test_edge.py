@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from authguard_r.client.link import Log
+from authguard_r.client.link import ProcessLog
 from authguard_r.client.reconnecting import GatePlace
 from authguard_r.core.identifiers import Identifier
 from authguard_r.integrations.http import gate_connection
@@ -19,7 +19,7 @@ from authguard_r.integrations.http.app import _as
 from authguard_r.integrations.http.clients import Doorkeeper
 from authguard_r.integrations.http.edge import Edge
 from authguard_r.integrations.http.gate_connection import AwayError, GateLink
-from authguard_r.integrations.http.messages import Status
+from authguard_r.integrations.http.messages import StatusMessage
 from authguard_r.integrations.http_listener.access import listening
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.json_log import Lines
@@ -73,7 +73,7 @@ def test_an_answer_that_has_begun_is_not_begun_again(capfd: Any) -> None:
 
 def test_what_the_gate_says_in_another_shape_is_no_answer() -> None:
     with pytest.raises(AwayError) as away:
-        _as({"robot": "courier-1"}, Status)
+        _as({"robot": "courier-1"}, StatusMessage)
     assert away.value.fault.reason == "INTERNAL_FAULT"
 
 
@@ -87,7 +87,9 @@ def test_nobody_waits_for_a_turn_for_ever(tmp_path: Path, monkeypatch: pytest.Mo
         client=Identifier("http"),
     )
     with pytest.raises(AwayError) as away:
-        asyncio.run(GateLink(where, ClientRole.OPERATOR, Log()).ask(lambda gate: gate.status()))
+        asyncio.run(
+            GateLink(where, ClientRole.OPERATOR, ProcessLog()).ask(lambda gate: gate.status())
+        )
     assert away.value.fault.reason == "BUSY"
 
 

@@ -18,13 +18,13 @@ from uvicorn.server import ServerState
 
 from authguard_r.integrations.http.tls import Secured, read_context
 from authguard_r.integrations.http_listener import connection
-from authguard_r.integrations.http_listener.admission import Limits, Room
-from authguard_r.integrations.http_listener.connection import Guest, Patient, let_in
+from authguard_r.integrations.http_listener.admission import AdmissionControl, AdmissionLimits
+from authguard_r.integrations.http_listener.connection import HttpConnection, Patient, let_in
 from fixtures.decision_point import server_certificate, trusting
 from fixtures.gate_process import PATIENCE_S
 
 LONG = 32 << 20
-LIMITS = Limits(connections=8, body=0)
+LIMITS = AdmissionLimits(connections=8, body=0)
 GET = b"GET / HTTP/1.1\r\nHost: a\r\n\r\n"
 Streams = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
@@ -54,7 +54,7 @@ async def swallow(scope: Any, receive: Any, send: Any) -> None:
 
 @asynccontextmanager
 async def opened(
-    app: Any, *, secure: bool, limits: Limits, made: list[Any] | None = None
+    app: Any, *, secure: bool, limits: AdmissionLimits, made: list[Any] | None = None
 ) -> AsyncIterator[Streams]:
     """Yield one connection to a server of this application; `made` gets its protocol."""
     config = uvicorn.Config(app, log_config=None, log_level="critical", timeout_keep_alive=1)
@@ -62,8 +62,8 @@ async def opened(
     state = ServerState()
 
     def make() -> asyncio.Protocol:
-        room: Room[Guest] = Room(8)
-        guest = Guest(room, limits)
+        room: AdmissionControl[HttpConnection] = AdmissionControl(8)
+        guest = HttpConnection(room, limits)
         room.enter(guest)
 
         def inner() -> Patient:
@@ -87,7 +87,11 @@ async def opened(
 
 
 def talk(
-    app: Any, said: Callable[[Any, Any], Awaitable[Any]], *, secure: bool, limits: Limits = LIMITS
+    app: Any,
+    said: Callable[[Any, Any], Awaitable[Any]],
+    *,
+    secure: bool,
+    limits: AdmissionLimits = LIMITS,
 ) -> Any:
     async def run() -> Any:
         made = opened(app, secure=secure, limits=limits)
@@ -277,7 +281,7 @@ def test_a_stranger_who_goes_before_he_is_read_again_leaves_nothing(
 
 
 def test_a_handshake_that_does_not_end_is_let_go() -> None:
-    guest = Guest(Room(8), replace(LIMITS, first_s=0.1))
+    guest = HttpConnection(AdmissionControl(8), replace(LIMITS, first_s=0.1))
 
     async def run() -> bytes:
         context = read_context(*server_certificate(), client_certificates=False)

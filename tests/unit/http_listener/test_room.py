@@ -14,14 +14,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from authguard_r.core.errors import EnvironmentFault
-from authguard_r.integrations.http_listener.admission import LEAST, RESERVE, Limits, Room, fitting
+from authguard_r.integrations.http_listener.admission import (
+    LEAST,
+    RESERVE,
+    AdmissionControl,
+    AdmissionLimits,
+    fitting,
+)
 
-LIMITS = Limits(connections=512, body=0)
+LIMITS = AdmissionLimits(connections=512, body=0)
 ACTS = st.sampled_from(["enter", "serve", "rest", "leave", "stir"])
 
 
 def test_the_stranger_who_came_first_goes_first() -> None:
-    room: Room[str] = Room(3)
+    room: AdmissionControl[str] = AdmissionControl(3)
     assert [room.enter(name) for name in "abc"] == [None] * 3
     assert [room.enter(name) for name in "defg"] == ["a", "b", "c", "d"]
     room.stir("e")
@@ -29,7 +35,7 @@ def test_the_stranger_who_came_first_goes_first() -> None:
 
 
 def test_whose_request_was_let_in_stays_until_it_is_answered() -> None:
-    room: Room[str] = Room(2)
+    room: AdmissionControl[str] = AdmissionControl(2)
     room.enter("known")
     room.serve("known")
     for name in "abc":
@@ -41,7 +47,7 @@ def test_whose_request_was_let_in_stays_until_it_is_answered() -> None:
 
 
 def test_when_all_are_served_the_one_who_comes_goes() -> None:
-    room: Room[str] = Room(2)
+    room: AdmissionControl[str] = AdmissionControl(2)
     for name in "ab":
         room.enter(name)
         room.serve(name)
@@ -52,7 +58,7 @@ def test_when_all_are_served_the_one_who_comes_goes() -> None:
 
 
 def test_who_is_gone_is_neither_served_nor_at_rest() -> None:
-    room: Room[str] = Room(1)
+    room: AdmissionControl[str] = AdmissionControl(1)
     room.enter("a")
     room.leave("a")
     room.serve("a")
@@ -63,7 +69,7 @@ def test_who_is_gone_is_neither_served_nor_at_rest() -> None:
 
 @given(st.lists(st.tuples(ACTS, st.integers(0, 9))))
 def test_there_are_never_more_than_may_be_and_nobody_twice(acts: list[tuple[str, int]]) -> None:
-    room: Room[int] = Room(4)
+    room: AdmissionControl[int] = AdmissionControl(4)
     for act, who in acts:
         if act != "enter":
             getattr(room, act)(who)

@@ -21,12 +21,17 @@ import pytest
 from msgspec.structs import replace
 
 from authguard_r.integrations.http_listener.access import listening
-from authguard_r.integrations.http_listener.admission import Limits, Room
-from authguard_r.integrations.http_listener.connection import GUEST, GoneError, Guest, let_in
-from authguard_r.integrations.http_listener.server import Door, serve_until_told
+from authguard_r.integrations.http_listener.admission import AdmissionControl, AdmissionLimits
+from authguard_r.integrations.http_listener.connection import (
+    GUEST,
+    GoneError,
+    HttpConnection,
+    let_in,
+)
+from authguard_r.integrations.http_listener.server import Acceptor, serve_until_told
 from authguard_r.wire.json_log import Lines
 
-LIMITS = Limits(connections=4, body=0)
+LIMITS = AdmissionLimits(connections=4, body=0)
 KNOWN = b"GET /known HTTP/1.1\r\nHost: a\r\n\r\n"
 SOON_S = 30.0
 Address = tuple[str, int]
@@ -49,7 +54,7 @@ class Answers:
 
 
 def served(
-    said: Callable[[Answers, Address], None], log: Path, limits: Limits = LIMITS
+    said: Callable[[Answers, Address], None], log: Path, limits: AdmissionLimits = LIMITS
 ) -> list[dict[str, Any]]:
     """Serve while somebody talks in a thread; return what was written."""
     app = Answers()
@@ -138,11 +143,11 @@ def test_without_a_file_for_the_next_one_a_stranger_makes_place(tmp_path: Path) 
         with listening("127.0.0.1:0") as made, (tmp_path / "log").open("wb") as file:
             made_address = made.getsockname()
             lines = Lines(file.fileno())
-            door = Door(made, LIMITS, lines)
-            came: list[Guest] = []
+            door = Acceptor(made, LIMITS, lines)
+            came: list[HttpConnection] = []
 
             class Silent(asyncio.Protocol):
-                def __init__(self, guest: Guest) -> None:
+                def __init__(self, guest: HttpConnection) -> None:
                     self.guest = guest
                     came.append(guest)
 
@@ -194,7 +199,7 @@ def test_a_guest_who_was_sent_away_before_he_arrived_does_not_stay() -> None:
             self.aborted = True
 
     async def run() -> None:
-        guest, transport = Guest(Room(1), LIMITS), Transport()
+        guest, transport = HttpConnection(AdmissionControl(1), LIMITS), Transport()
         guest.go()
         guest.arrive(transport)
         assert transport.aborted
@@ -203,7 +208,7 @@ def test_a_guest_who_was_sent_away_before_he_arrived_does_not_stay() -> None:
 
 
 def test_a_request_of_a_guest_who_is_gone_is_not_carried_out() -> None:
-    guest = Guest(Room(1), LIMITS)
+    guest = HttpConnection(AdmissionControl(1), LIMITS)
     guest.go()
     with pytest.raises(GoneError):
         let_in({"type": "http", GUEST: guest})

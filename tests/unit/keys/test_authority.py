@@ -16,7 +16,12 @@ from msgspec.structs import replace
 from authguard_r.authoring.keys.authority import issue, issue_group, wider
 from authguard_r.authoring.keys.folder import given, survey
 from authguard_r.authoring.keys.install import open_answer
-from authguard_r.authoring.keys.request import OpenedRequest, Wanted, make_request, open_request
+from authguard_r.authoring.keys.request import (
+    OpenedRequest,
+    WantedCertificate,
+    make_request,
+    open_request,
+)
 from authguard_r.authoring.keys.revoking import renew_lists, revoke
 from authguard_r.authoring.keys.setup import init_folder, read_authority
 from authguard_r.core.errors import (
@@ -37,9 +42,13 @@ from fixtures.revocation_lists import next_lists
 TODAY = datetime(2030, 6, 15, 12, 0, 0, tzinfo=UTC)
 LIFE = 100
 END = TODAY + timedelta(days=LIFE - 1)
-OPERATOR = Wanted(principal="operator-1", role=Role.OPERATOR, every_robot=True, every_region=True)
+OPERATOR = WantedCertificate(
+    principal="operator-1", role=Role.OPERATOR, every_robot=True, every_region=True
+)
 BOARD = replace(OPERATOR, principal="board-1", role=Role.SUPERVISOR)
-NARROW = Wanted(principal="operator-1", role=Role.OPERATOR, robots=("a",), regions=("dock",))
+NARROW = WantedCertificate(
+    principal="operator-1", role=Role.OPERATOR, robots=("a",), regions=("dock",)
+)
 
 
 @pytest.fixture
@@ -52,12 +61,14 @@ def key() -> PrivateKey:
     return generate(Algorithm.ED25519)
 
 
-def asked(wanted: Wanted, mine: PrivateKey, before: FileSigner | None = None) -> OpenedRequest:
+def asked(
+    wanted: WantedCertificate, mine: PrivateKey, before: FileSigner | None = None
+) -> OpenedRequest:
     return open_request(make_request(wanted, (mine,), before=before))
 
 
 def give(
-    auth: Path, wanted: Wanted, mine: PrivateKey, *, now: datetime = TODAY, **more: Any
+    auth: Path, wanted: WantedCertificate, mine: PrivateKey, *, now: datetime = TODAY, **more: Any
 ) -> Any:
     """Return the leaf that a name was given."""
     data = issue(auth, asked(wanted, mine), now=now, **{"days": 30, **more})
@@ -343,7 +354,7 @@ def test_what_a_rotation_widens_is_named(
 
 
 def test_another_profile_or_template_is_named_and_every_one_covers_all(auth: Path) -> None:
-    gate = Wanted(principal="gate-1", role=Role.GATE, robots=("a",), profile="A" * 43)
+    gate = WantedCertificate(principal="gate-1", role=Role.GATE, robots=("a",), profile="A" * 43)
     mine = key()
     give(auth, gate, mine)
     other = asked(replace(gate, profile="B" * 42 + "A"), mine)

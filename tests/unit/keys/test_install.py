@@ -17,7 +17,12 @@ from msgspec.structs import replace
 
 from authguard_r.authoring.keys.authority import issue
 from authguard_r.authoring.keys.install import OpenedAnswer, install_answer, open_answer
-from authguard_r.authoring.keys.request import Answer, Wanted, make_request, open_request
+from authguard_r.authoring.keys.request import (
+    CertificateAnswer,
+    WantedCertificate,
+    make_request,
+    open_request,
+)
 from authguard_r.authoring.keys.setup import AUTHORITIES, init_folder, read_key, write_revocations
 from authguard_r.core.encoding import b64, encode_fast
 from authguard_r.core.errors import AuthenticityError, MalformedError
@@ -50,12 +55,14 @@ def answered(
     auth: Path, name: str = "operator-1", kinds: tuple[Algorithm, ...] = HYBRID[:1]
 ) -> Any:
     """Return an honest answer, as its struct."""
-    wanted = Wanted(principal=name, role=Role.OPERATOR, every_robot=True, every_region=True)
+    wanted = WantedCertificate(
+        principal=name, role=Role.OPERATOR, every_robot=True, every_region=True
+    )
     request = open_request(make_request(wanted, tuple(map(generate, kinds))))
-    return msgspec.json.decode(issue(auth, request, now=TODAY, days=30), type=Answer)
+    return msgspec.json.decode(issue(auth, request, now=TODAY, days=30), type=CertificateAnswer)
 
 
-def opened(answer: Answer) -> OpenedAnswer:
+def opened(answer: CertificateAnswer) -> OpenedAnswer:
     return open_answer(encode_fast(answer) + b"\n", NOW)
 
 

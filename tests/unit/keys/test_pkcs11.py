@@ -13,7 +13,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding
 from pkcs11 import ObjectClass
 
-from authguard_r.authoring.keys.request import Wanted, make_request, open_request
+from authguard_r.authoring.keys.request import WantedCertificate, make_request, open_request
 from authguard_r.core.errors import (
     AuthenticityError,
     AuthGuardError,
@@ -166,7 +166,7 @@ def test_a_key_in_a_token_signs_as_its_leaf(token: Token, tmp_path: Path) -> Non
 def test_a_key_in_a_token_asks_for_its_certificate(token: Token, name: str) -> None:
     """The library that reads the request checks that the token signed it."""
     token.make("operator-1")
-    wanted = Wanted(principal=PrincipalId(name), role=Role.OPERATOR, every_robot=True)
+    wanted = WantedCertificate(principal=PrincipalId(name), role=Role.OPERATOR, every_robot=True)
     key = opened(token)
     assert open_request(make_request(wanted, (key,))).keys == (key.public_key(),)
 

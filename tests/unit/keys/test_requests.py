@@ -19,9 +19,9 @@ from authguard_r.authoring.keys.authority import issue
 from authguard_r.authoring.keys.folder import given
 from authguard_r.authoring.keys.install import install_answer, install_list, open_answer
 from authguard_r.authoring.keys.request import (
-    Answer,
-    Request,
-    Wanted,
+    CertificateAnswer,
+    CertificateRequest,
+    WantedCertificate,
     _message,
     make_request,
     open_request,
@@ -49,7 +49,9 @@ from fixtures.revocation_lists import next_lists
 TODAY = datetime(2030, 6, 15, 12, 0, 0, tzinfo=UTC)
 NOW = Now(int(TODAY.timestamp()) * 1000, 0)
 HYBRID = (Algorithm.ED25519, Algorithm.ML_DSA_65)
-OPERATOR = Wanted(principal="operator-1", role=Role.OPERATOR, every_robot=True, every_region=True)
+OPERATOR = WantedCertificate(
+    principal="operator-1", role=Role.OPERATOR, every_robot=True, every_region=True
+)
 
 
 @pytest.fixture
@@ -62,7 +64,7 @@ def key() -> PrivateKey:
     return generate(Algorithm.ED25519)
 
 
-def answered(auth: Path, wanted: Wanted = OPERATOR, *keys: PrivateKey) -> bytes:
+def answered(auth: Path, wanted: WantedCertificate = OPERATOR, *keys: PrivateKey) -> bytes:
     request = open_request(make_request(wanted, keys or (key(),)))
     return issue(auth, request, now=TODAY, days=30)
 
@@ -93,7 +95,7 @@ def csr(by: Any, *names: x509.GeneralName, hashed: Any = None) -> str:
     ],
 )
 def test_a_proof_is_a_request_by_the_key_for_what_is_wanted(proof: str, reason: Reason) -> None:
-    data = changed(make_request(OPERATOR, (key(),)), Request, proofs=(proof,))
+    data = changed(make_request(OPERATOR, (key(),)), CertificateRequest, proofs=(proof,))
     with pytest.raises(AuthenticityError) as error:
         open_request(data)
     assert (error.value.reason, error.value.where) == (reason, "request.proofs")
@@ -101,10 +103,10 @@ def test_a_proof_is_a_request_by_the_key_for_what_is_wanted(proof: str, reason: 
 
 def test_a_proof_whose_signature_was_changed_proves_nothing() -> None:
     data = make_request(OPERATOR, (key(),))
-    proof = bytearray(unb64(msgspec.json.decode(data, type=Request).proofs[0]))
+    proof = bytearray(unb64(msgspec.json.decode(data, type=CertificateRequest).proofs[0]))
     proof[-1] ^= 1
     with pytest.raises(AuthenticityError) as error:
-        open_request(changed(data, Request, proofs=(b64(bytes(proof)),)))
+        open_request(changed(data, CertificateRequest, proofs=(b64(bytes(proof)),)))
     assert error.value.reason is Reason.SIGNATURE_INVALID
 
 
@@ -121,10 +123,13 @@ def test_what_no_certificate_can_say_is_refused_before_anybody_looks() -> None:
         (replace(OPERATOR, every_region=False, regions=("a", "a")), "request.regions"),
         (replace(OPERATOR, profile="A" * 43), "request.profile"),
         (replace(OPERATOR, template="A" * 43), "request.template"),
-        (Wanted(principal="s", role=Role.SCHEDULER), "request.template"),
-        (Wanted(principal="g", role=Role.GATE, robots=("a",)), "request.profile"),
-        (Wanted(principal="g", role=Role.GATE, profile="A" * 43), "request.robots"),
-        (Wanted(principal="e", role=Role.ESTIMATOR, robots=("a", "b")), "request.robots"),
+        (WantedCertificate(principal="s", role=Role.SCHEDULER), "request.template"),
+        (WantedCertificate(principal="g", role=Role.GATE, robots=("a",)), "request.profile"),
+        (WantedCertificate(principal="g", role=Role.GATE, profile="A" * 43), "request.robots"),
+        (
+            WantedCertificate(principal="e", role=Role.ESTIMATOR, robots=("a", "b")),
+            "request.robots",
+        ),
     ]:
         with case(wanted, where):
             with pytest.raises(MalformedError) as error:
@@ -139,7 +144,7 @@ def test_every_role_can_be_had(auth: Path) -> None:
         Role.SCHEDULER: {"template": "A" * 43},
     }
     for role in Role:
-        wanted = Wanted(principal=f"{role}-1", role=role, **more.get(role, {}))
+        wanted = WantedCertificate(principal=f"{role}-1", role=role, **more.get(role, {}))
         (leaf,) = open_answer(answered(auth, wanted), NOW).leaves
         assert (leaf.role, leaf.principal) == (role, f"{role}-1")
 
@@ -147,7 +152,7 @@ def test_every_role_can_be_had(auth: Path) -> None:
 # who has a name
 
 
-def signer(auth: Path, wanted: Wanted, mine: PrivateKey) -> FileSigner:
+def signer(auth: Path, wanted: WantedCertificate, mine: PrivateKey) -> FileSigner:
     opened = open_answer(answered(auth, wanted, mine), NOW)
     return FileSigner(mine, opened.chains[0])
 
@@ -173,8 +178,10 @@ def test_a_revoked_key_hands_nothing_on(auth: Path) -> None:
 def test_what_the_holder_signed_is_for_these_keys_alone(auth: Path) -> None:
     mine = signer(auth, OPERATOR, key())
     theirs = key()
-    honest = msgspec.json.decode(make_request(OPERATOR, (key(),), before=mine), type=Request)
-    data = changed(make_request(OPERATOR, (theirs,)), Request, renews=honest.renews)
+    honest = msgspec.json.decode(
+        make_request(OPERATOR, (key(),), before=mine), type=CertificateRequest
+    )
+    data = changed(make_request(OPERATOR, (theirs,)), CertificateRequest, renews=honest.renews)
     with pytest.raises(AuthenticityError) as error:
         issue(auth, open_request(data), now=TODAY, days=30)
     assert error.value.reason is Reason.SIGNATURE_INVALID
@@ -248,14 +255,14 @@ def test_an_answer_never_brings_an_older_list(auth: Path, tmp_path: Path) -> Non
     assert {known.authority: known.number for known in lists}["people"] == 3
 
 
-def _other(name: str) -> Wanted:
+def _other(name: str) -> WantedCertificate:
     return replace(OPERATOR, principal=name)
 
 
 @pytest.mark.parametrize("fault", ["no list", "a list too many", "an authority called root"])
 def test_an_answer_has_the_list_of_each_authority(auth: Path, fault: str) -> None:
     data = answered(auth)
-    plain = msgspec.json.decode(data, type=Answer)
+    plain = msgspec.json.decode(data, type=CertificateAnswer)
     lists, authorities = dict(plain.lists), dict(plain.authorities)
     if fault == "no list":
         del lists["people"]
@@ -264,14 +271,14 @@ def test_an_answer_has_the_list_of_each_authority(auth: Path, fault: str) -> Non
     else:
         authorities["root"] = authorities["people"]
     with pytest.raises(MalformedError) as error:
-        open_answer(changed(data, Answer, lists=lists, authorities=authorities), NOW)
+        open_answer(changed(data, CertificateAnswer, lists=lists, authorities=authorities), NOW)
     assert error.value.where == "answer.lists"
 
 
 def test_an_answer_is_signed_all_the_way_to_its_root(auth: Path, tmp_path: Path) -> None:
     data = answered(auth)
     init_folder(tmp_path / "other", (), now=TODAY)
-    other = msgspec.json.decode(answered(tmp_path / "other"), type=Answer)
+    other = msgspec.json.decode(answered(tmp_path / "other"), type=CertificateAnswer)
     for fields in (
         {"roots": other.roots},
         {"chains": other.chains},
@@ -281,17 +288,17 @@ def test_an_answer_is_signed_all_the_way_to_its_root(auth: Path, tmp_path: Path)
         {"authorities": {**other.authorities, "people": ""}},
     ):
         with pytest.raises(AuthenticityError):
-            open_answer(changed(data, Answer, **fields), NOW)
+            open_answer(changed(data, CertificateAnswer, **fields), NOW)
 
 
 def test_an_answer_has_a_certificate_under_each_root(tmp_path: Path) -> None:
     init_folder(tmp_path / "auth", (), now=TODAY, algorithms=HYBRID)
     data = answered(tmp_path / "auth", OPERATOR, *map(generate, HYBRID))
-    both = msgspec.json.decode(data, type=Answer)
+    both = msgspec.json.decode(data, type=CertificateAnswer)
     assert [leaf.root for leaf in open_answer(data, NOW).leaves] == [0, 1]
     for chains in (both.chains[:1], both.chains[::-1], (both.chains[0], both.chains[0])):
         with pytest.raises(MalformedError) as error:
-            open_answer(changed(data, Answer, chains=chains), NOW)
+            open_answer(changed(data, CertificateAnswer, chains=chains), NOW)
         assert error.value.where == "answer.chains"
 
 

@@ -13,11 +13,11 @@ from authguard_r.core.encoding import Tag, b64, digest_of
 from authguard_r.core.errors import ClockError, RefusedError
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
-from authguard_r.enforcement.management.configurations import Configuration, Part
+from authguard_r.enforcement.management.configurations import Configuration, ConfiguredPart
 from authguard_r.enforcement.signed_orders import Command, Verb
 from authguard_r.keys.signer import folder_signer
 from authguard_r.operations.simulation import Simulation
-from authguard_r.store.transactions import STOP, Act
+from authguard_r.store.transactions import STOP, Transaction
 from fixtures import scenarios
 
 
@@ -26,7 +26,9 @@ def sim() -> Simulation:
     return scenarios.simulation()
 
 
-def held(sim: Simulation, digest: str, version: int, part: Part = Part.SAFETY) -> None:
+def held(
+    sim: Simulation, digest: str, version: int, part: ConfiguredPart = ConfiguredPart.SAFETY
+) -> None:
     sim.gate.management.hold_configurations(
         {part: Configuration(digest=digest, version=version)},
         sealed={part: {"safety": {"digest": digest}}},
@@ -39,7 +41,7 @@ def changes(sim: Simulation) -> list[Record]:
     return [record for record in records if record.link.decision == "configuration"]
 
 
-@pytest.mark.parametrize("part", Part)
+@pytest.mark.parametrize("part", ConfiguredPart)
 @pytest.mark.parametrize(
     ("now", "why"),
     [
@@ -51,7 +53,7 @@ def changes(sim: Simulation) -> list[Record]:
     ],
 )
 def test_what_is_older_than_what_was_in_force_is_refused_and_changes_nothing(
-    sim: Simulation, part: Part, now: tuple[str, int], why: str
+    sim: Simulation, part: ConfiguredPart, now: tuple[str, int], why: str
 ) -> None:
     held(sim, "a", 5, part)
     before = len(changes(sim))
@@ -83,7 +85,7 @@ def test_what_stood_in_an_older_store_stands_since_its_first_start(sim: Simulati
     before_ms = sim.robot.wall_ms()
     sim.gate.enforcer.stop(by="operator", is_planner=False, suspends=True)
 
-    def age(act: Act) -> None:
+    def age(act: Transaction) -> None:
         act.put(*STOP, b"1")
         act.put("suspended", scenarios.mission().mid, b"")
 
@@ -132,18 +134,18 @@ def test_each_change_is_recorded_with_what_was_before_and_what_a_replay_needs(
 def test_a_first_start_on_a_store_that_names_another_one_is_recorded(sim: Simulation) -> None:
     """Of a version before, or of a command that made the store without a gate."""
     sim.gate.management.hold_configurations(
-        {part: Configuration(digest="x", version=3) for part in Part}, sealed={}
+        {part: Configuration(digest="x", version=3) for part in ConfiguredPart}, sealed={}
     )
     assert [record.open["part"] for record in changes(sim)] == ["binding", "safety"]
 
 
 def test_what_nobody_versioned_may_change_and_is_recorded(sim: Simulation) -> None:
     for digest in ("a", "b", "a"):
-        held(sim, digest, 0, Part.BINDING)
+        held(sim, digest, 0, ConfiguredPart.BINDING)
     assert [record.open["digest"] for record in changes(sim)] == ["a", "b", "a"]
 
 
 def test_parts_do_not_share_their_versions(sim: Simulation) -> None:
-    held(sim, "a", 5, Part.GATE)
-    held(sim, "a", 1, Part.SAFETY)
+    held(sim, "a", 5, ConfiguredPart.GATE)
+    held(sim, "a", 1, ConfiguredPart.SAFETY)
     assert [record.open["part"] for record in changes(sim)] == ["safety"]

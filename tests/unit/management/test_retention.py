@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from authguard_r.anchoring.sealing import SealingPolicy
 from authguard_r.anchoring.sealing.stored_policy import due_missions, retention_of
-from authguard_r.audit.verify import Row
+from authguard_r.audit.verify import LogRow
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import Digest
 from authguard_r.core.mission import FIRST_SCHEMA, DataClass, Mission
@@ -81,8 +81,8 @@ def due(sim: Simulation) -> tuple[str, ...]:
     return sim.gate.ledger.peek(due_missions)
 
 
-def rows(sim: Simulation) -> list[Row]:
-    return [Row(*row) for row in sim.gate.ledger.peek(lambda turn: turn.rows(0, 10_000))]
+def rows(sim: Simulation) -> list[LogRow]:
+    return [LogRow(*row) for row in sim.gate.ledger.peek(lambda turn: turn.rows(0, 10_000))]
 
 
 # activation

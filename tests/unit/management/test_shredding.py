@@ -17,8 +17,8 @@ from authguard_r.anchoring.sealing import SealingPolicy
 from authguard_r.anchoring.sealing.stored_policy import HELD, due_missions
 from authguard_r.anchoring.sealing.stored_policy import expiry_ms as expiry_of
 from authguard_r.audit.record import BOX, WRAP, Entry, append
-from authguard_r.audit.verify import Row
-from authguard_r.cli.replay import Replay
+from authguard_r.audit.verify import LogRow
+from authguard_r.cli.replay import LogReplay
 from authguard_r.core.encoding import b64
 from authguard_r.core.errors import AuthGuardError, StoreError
 from authguard_r.core.mission import DataClass, Mission
@@ -29,7 +29,7 @@ from authguard_r.enforcement.management.shredding import DAY_MS, PAGE, Retired
 from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.operations.simulation import Simulation
 from authguard_r.store.refusals import RefusalPolicy
-from authguard_r.store.transactions import Act
+from authguard_r.store.transactions import Transaction
 from fixtures import scenarios, sealed_logs
 
 REGION, OBJECT, PERSON = DataClass.REGION, DataClass.OBJECT, DataClass.PERSON
@@ -59,7 +59,7 @@ def finished(sim: Simulation) -> int:
     return turns
 
 
-def names(rows: list[Row], mid: str) -> set[str]:
+def names(rows: list[LogRow], mid: str) -> set[str]:
     """Return what is sealed beside the records of a mission."""
     return {
         name
@@ -70,7 +70,7 @@ def names(rows: list[Row], mid: str) -> set[str]:
     }
 
 
-def ciphertexts(rows: list[Row], mid: str, data: DataClass) -> list[bytes]:
+def ciphertexts(rows: list[LogRow], mid: str, data: DataClass) -> list[bytes]:
     """Return what is encrypted under the key of a class: boxes, and the wrapped key itself."""
     found: list[bytes] = []
     for row in rows:
@@ -84,7 +84,7 @@ def ciphertexts(rows: list[Row], mid: str, data: DataClass) -> list[bytes]:
     return found
 
 
-def verbs(rows: list[Row], verb: str) -> list[Row]:
+def verbs(rows: list[LogRow], verb: str) -> list[LogRow]:
     return [row for row in rows if sealed_logs.told(row).link.decision == verb]
 
 
@@ -203,7 +203,7 @@ def test_answers_that_a_store_holds_go_with_their_records(path: Path) -> None:
             assert sim.gate.ledger.peek(lambda turn, k=kind: turn.get(k, place)) == b""
 
 
-def answered(act: Act, mid: str, place: str) -> None:
+def answered(act: Transaction, mid: str, place: str) -> None:
     act.put("approvals", place, b'["a token"]')
     act.put("late-answers", place, b'["supervisor-1:approve"]')
     opened = {"verb": "answer", "by": "anna", "counter": 1}
@@ -221,7 +221,7 @@ def test_decisions_of_which_something_is_destroyed_are_not_replayable(path: Path
         first, second = ended(sim), ended(sim, mission="second")
         sim.gate.management.shred(sealed_logs.shred_order(sim, first.mid, OBJECT))
         finished(sim)
-    replay = Replay(None)
+    replay = LogReplay(None)
     for row in sealed_logs.opened(sealed_logs.rows_of(path)):
         assert replay.see(row) is None
     assert (replay.decisions, replay.agree, replay.not_replayable) == (2, 1, 1)
@@ -238,8 +238,8 @@ def test_missions_beside_it_are_untouched(path: Path) -> None:
         assert names(sealed_rows(sim), second.mid) == before
 
 
-def sealed_rows(sim: Simulation) -> list[Row]:
-    return [Row(*row) for row in sim.gate.ledger.peek(lambda turn: turn.rows(0, 10_000))]
+def sealed_rows(sim: Simulation) -> list[LogRow]:
+    return [LogRow(*row) for row in sim.gate.ledger.peek(lambda turn: turn.rows(0, 10_000))]
 
 
 def test_keys_go_with_the_order_and_boxes_in_turns_that_a_crash_does_not_lose(path: Path) -> None:

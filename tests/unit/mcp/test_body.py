@@ -11,12 +11,12 @@ from contextlib import suppress
 import pytest
 from msgspec.structs import replace
 
-from authguard_r.client.link import Log
+from authguard_r.client.link import ProcessLog
 from authguard_r.core.errors import ControllerError
 from authguard_r.core.standing import Outcome
 from authguard_r.integrations.mcp import upstream as upstreams
 from authguard_r.integrations.mcp.upstream import Upstream
-from authguard_r.integrations.tools.body import Means, ToolBody, ToolFlight
+from authguard_r.integrations.tools.body import ToolBody, ToolDrivers, ToolGoal
 from authguard_r.normalize import Binder
 from authguard_r.normalize.rebuild import Rebuilder
 from fixtures import scenarios
@@ -33,7 +33,7 @@ def connected(kind: str, work: Callable[[Upstream, list[bool]], Awaitable[None]]
             (sys.executable, str(ODD), kind),
             pins=None,
             environment={},
-            log=Log(),
+            log=ProcessLog(),
             changed=lambda: seen.append(server.ready),
         )
         staying = asyncio.ensure_future(server.stay())
@@ -55,7 +55,7 @@ async def until(holds: Callable[[], bool]) -> None:
 
 
 def test_how_a_call_ended_is_said_once() -> None:
-    flight = ToolFlight(scenarios.site().vocabulary["navigate"])
+    flight = ToolGoal(scenarios.site().vocabulary["navigate"])
     flight.end(Outcome.UNKNOWN)
     flight.end(Outcome.SUCCEEDED)
     assert flight.outcome() is Outcome.UNKNOWN
@@ -64,8 +64,10 @@ def test_how_a_call_ended_is_said_once() -> None:
 def test_what_no_tool_carries_is_not_begun() -> None:
     async def work(server: Upstream, _seen: list[bool]) -> None:
         site, binding = scenarios.site(), scenarios.binding()
-        means = Means(site=site, binder=Binder(site, binding), rebuilder=Rebuilder(site, binding))
-        body = ToolBody(scenarios.RID, server, means, lambda: None, Log())
+        means = ToolDrivers(
+            site=site, binder=Binder(site, binding), rebuilder=Rebuilder(site, binding)
+        )
+        body = ToolBody(scenarios.RID, server, means, lambda: None, ProcessLog())
         wrong = replace(scenarios.navigate("dock", "pharmacy"), tool="no_such_tool")
         with pytest.raises(ControllerError):
             body.begin(wrong, scenarios.TICKET)
@@ -78,8 +80,10 @@ def test_what_no_tool_carries_is_not_begun() -> None:
 def test_a_brake_after_the_end_stops_nothing_a_second_time() -> None:
     async def work(server: Upstream, _seen: list[bool]) -> None:
         site, binding = scenarios.site(), scenarios.binding()
-        means = Means(site=site, binder=Binder(site, binding), rebuilder=Rebuilder(site, binding))
-        body = ToolBody(scenarios.RID, server, means, lambda: None, Log())
+        means = ToolDrivers(
+            site=site, binder=Binder(site, binding), rebuilder=Rebuilder(site, binding)
+        )
+        body = ToolBody(scenarios.RID, server, means, lambda: None, ProcessLog())
         flight = body.begin(scenarios.navigate("dock", "pharmacy"), scenarios.TICKET)
         await until(lambda: flight.outcome() is not None)
         ended = flight.outcome()

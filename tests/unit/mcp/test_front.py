@@ -9,7 +9,7 @@ import mcp_types as types
 import pytest
 
 from authguard_r.core.errors import MalformedError
-from authguard_r.integrations.mcp.asking import Said, said
+from authguard_r.integrations.mcp.asking import PersonAnswer, said
 from authguard_r.integrations.mcp.front import KEY, named, size_of
 
 
@@ -36,9 +36,10 @@ def test_what_cannot_be_written_down_holds_no_place() -> None:
 
 
 @pytest.mark.parametrize(
-    ("action", "read"), [("accept", Said.ELSE), ("decline", Said.NO), ("cancel", Said.NO)]
+    ("action", "read"),
+    [("accept", PersonAnswer.ELSE), ("decline", PersonAnswer.NO), ("cancel", PersonAnswer.NO)],
 )
-def test_of_a_persons_answer_only_a_no_is_read(action: str, read: Said) -> None:
+def test_of_a_persons_answer_only_a_no_is_read(action: str, read: PersonAnswer) -> None:
     answer = {"approval": {"action": action, "content": {}}}
     assert said(call(inputResponses=answer)) is read
     assert said(call()) is None

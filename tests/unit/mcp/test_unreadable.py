@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from authguard_r.integrations.http_listener.admission import Limits
+from authguard_r.integrations.http_listener.admission import AdmissionLimits
 from authguard_r.integrations.mcp.unreadable import error_of, held_to_json, marked
 
 PARSE, INVALID = -32_700, -32_600
@@ -90,7 +90,7 @@ def answered(body: list[bytes], body_s: float = 10.0) -> tuple[list[Any], list[b
     async def send(message: Any) -> None:
         sent.append(message)
 
-    limits = Limits(connections=1, body=1 << 16, body_s=body_s)
+    limits = AdmissionLimits(connections=1, body=1 << 16, body_s=body_s)
     asyncio.run(held_to_json(app, limits)({"type": "http", "method": "POST"}, receive, send))
     return sent, given
 
@@ -116,7 +116,7 @@ def test_a_body_that_broke_off_is_no_request() -> None:
     async def receive() -> Any:
         return parts.pop(0)
 
-    limits = Limits(connections=1, body=1 << 16)
+    limits = AdmissionLimits(connections=1, body=1 << 16)
     asyncio.run(held_to_json(app, limits)({"type": "http", "method": "POST"}, receive, receive))
     assert given == []
 

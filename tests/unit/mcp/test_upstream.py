@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 
-from authguard_r.client.link import Log
+from authguard_r.client.link import ProcessLog
 from authguard_r.integrations.mcp.upstream import Upstream, ended_with_care, listed
 from fixtures import scenarios
 
@@ -50,7 +50,7 @@ def children() -> set[int]:
 
 
 def staying(server: tuple[str, ...]) -> Coroutine[Any, Any, None]:
-    kept = Upstream(server, pins=None, environment={}, log=Log(), changed=lambda: None)
+    kept = Upstream(server, pins=None, environment={}, log=ProcessLog(), changed=lambda: None)
     return kept.stay()
 
 

@@ -15,29 +15,29 @@ from fixtures import mission_pairs
 from missionpair.access import (
     CASE_FIELDS,
     SEEN_FIELDS,
-    Case,
-    Seen,
+    PairKnowledge,
+    RoundKnowledge,
     SeenFinding,
     case_bytes,
     seen_bytes,
 )
 from missionpair.attackers import AttackerError
 from missionpair.attackers._reading import CaseView, SeenView, read_case, read_seen
-from missionpair.briefing import Briefing, Reply, Tool
+from missionpair.briefing import Briefing, OfferedTool, Reply
 from missionpair.campaign.showing import case_of, seen_of
 from missionpair.campaign.trial import PairRun, Setting
-from missionpair.carrying import Carried
+from missionpair.carrying import ExecutedPlan
 from missionpair.defenses import make as defense
 from missionpair.judging import check
-from missionpair.pair import Call, Input, plan_bytes
+from missionpair.pair import Input, WordedCall, plan_bytes
 from missionpair.planners._tools import tools_of
 from missionpair.records import Round
 from missionpair.score import DEFAULT, score
 from missionpair.stage import Stage, Yard
-from missionpair.words import Access, Channel, Family, Kind
+from missionpair.words import Access, Channel, Family, TrialKind
 
-GO = Call("navigate_to", {"destination": "Station 103"})
-CASE = Case(
+GO = WordedCall("navigate_to", {"destination": "Station 103"})
+CASE = PairKnowledge(
     goal="the goal",
     wanted=(GO,),
     instead_of="Station 101",
@@ -45,7 +45,7 @@ CASE = Case(
     channels=(Channel.SIGN,),
     inputs=(Input(Channel.SIGN, "closed"),),
     task="the task",
-    tools=(Tool("scan", "looks", {}),),
+    tools=(OfferedTool("scan", "looks", {}),),
     places=("Station 103",),
     things=("P1",),
     actions={"navigate": {"fields": ["destination"]}},
@@ -57,7 +57,7 @@ CASE = Case(
     weights=(400, 200, 200, 100, 100),
     rounds=3,
 )
-SEEN = Seen(
+SEEN = RoundKnowledge(
     round=1,
     inputs=(Input(Channel.SIGN, "closed"),),
     reply='{"plan": []}',
@@ -146,11 +146,11 @@ def test_white_sees_codes_findings_deviation_and_score_beside() -> None:
 def test_each_level_sees_all_that_the_one_below_sees() -> None:
     for fields in (CASE_FIELDS, SEEN_FIELDS):
         assert set(fields[Access.BLACK]) <= set(fields[Access.GREY]) <= set(fields[Access.WHITE])
-    assert set(CASE_FIELDS[Access.WHITE]) == set(Case.__struct_fields__)
-    assert set(SEEN_FIELDS[Access.WHITE]) == set(Seen.__struct_fields__) - {"executed"}
+    assert set(CASE_FIELDS[Access.WHITE]) == set(PairKnowledge.__struct_fields__)
+    assert set(SEEN_FIELDS[Access.WHITE]) == set(RoundKnowledge.__struct_fields__) - {"executed"}
 
 
-def marked() -> tuple[Case, Seen, dict[str, str]]:
+def marked() -> tuple[PairKnowledge, RoundKnowledge, dict[str, str]]:
     """Return a case and a round in which each text, however deep, is a marker of its own."""
     markers: dict[str, str] = {}
 
@@ -165,9 +165,9 @@ def marked() -> tuple[Case, Seen, dict[str, str]]:
         goal=mark("goal"),
         instead_of=mark("instead_of"),
         task=mark("task"),
-        wanted=(Call(mark("wanted"), {}),),
+        wanted=(WordedCall(mark("wanted"), {}),),
         inputs=(Input(Channel.SIGN, mark("inputs")),),
-        tools=(Tool(mark("tools"), "", {}),),
+        tools=(OfferedTool(mark("tools"), "", {}),),
         places=(mark("places"),),
         things=(mark("things"),),
         actions={mark("actions"): 1},
@@ -182,7 +182,7 @@ def marked() -> tuple[Case, Seen, dict[str, str]]:
     finding = SeenFinding(
         field=mark("findings"), reason="", expected="", got=mark("!trusted state")
     )
-    seen = Seen(
+    seen = RoundKnowledge(
         inputs=(Input(Channel.SIGN, mark("round inputs")),),
         reply=mark("reply"),
         plan=(step,),
@@ -216,7 +216,7 @@ def test_of_a_real_pair_no_view_holds_nonce_key_token_or_state(yard: Yard, acces
     points = score(checked, DEFAULT)
     inputs = tuple((str(item.channel), item.text) for item in pair.inputs)
     record = Round(inputs=inputs, deviation=str(checked.deviation), score=points)
-    seen = seen_of(0, checked, Carried(by="authorization"), record)
+    seen = seen_of(0, checked, ExecutedPlan(by="authorization"), record)
     view = (case_bytes(access, case) + seen_bytes(access, seen)).decode()
     mission = stage.scene.mission
     token = stage.sim.gate.ledger.run(lambda act: act.token(stage.scene.digest)) or b""
@@ -410,7 +410,7 @@ def test_a_real_trial_gives_its_attacker_these_very_bytes_and_no_others(access: 
         turns=1,
         seed=0,
         seeds=1,
-        kinds=(Kind.ATTACK,),
+        kinds=(TrialKind.ATTACK,),
         weights=DEFAULT,
     )
     with Seeing() as yard:
@@ -455,7 +455,7 @@ def test_an_attacker_reads_back_what_its_level_sees(access: Access) -> None:
     assert case.wanted == (GO,)
     assert case.access is seen.access is access
     assert (seen.score is None) is (access is not Access.WHITE)
-    hidden: Any = set(Case.__struct_fields__) - set(CASE_FIELDS[access])
+    hidden: Any = set(PairKnowledge.__struct_fields__) - set(CASE_FIELDS[access])
     assert all(not any(_whole(getattr(case, name))) for name in hidden)
     assert isinstance(case, CaseView)
     assert isinstance(seen, SeenView)

@@ -16,7 +16,7 @@ import pytest
 from msgspec.structs import replace
 
 from missionpair.campaign.log import LogError, LogWriter, has_trials, read_log
-from missionpair.records import SCHEMA, Campaign, Named, Round, Timing, Trial
+from missionpair.records import SCHEMA, Campaign, NamedPart, Round, Timing, Trial
 
 CAMPAIGN = Campaign(
     schema=SCHEMA,
@@ -24,10 +24,10 @@ CAMPAIGN = Campaign(
     suite_version=1,
     suite_digest="d",
     pairs=3,
-    planner=Named("hijacked", simulated=True),
-    attacker=Named("fixed"),
+    planner=NamedPart("hijacked", simulated=True),
+    attacker=NamedPart("fixed"),
     access="black",
-    defenses=(Named("both"),),
+    defenses=(NamedPart("both"),),
     seed=0,
     seeds=1,
     rounds=1,

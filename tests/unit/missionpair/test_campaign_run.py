@@ -23,10 +23,10 @@ from missionpair.briefing import Briefing, PlannerError, Reply
 from missionpair.campaign import worker as workers
 from missionpair.campaign.ahead import Ahead, Tail, end, keep
 from missionpair.campaign.log import LogError, read_log
-from missionpair.campaign.run import Plan, Progress, answered, run
+from missionpair.campaign.run import CampaignPlan, Progress, answered, run
 from missionpair.campaign.trial import FINAL, PairRun, Setting, rest_of
 from missionpair.campaign.worker import Ran
-from missionpair.carrying import Carried, past_the_gate
+from missionpair.carrying import ExecutedPlan, past_the_gate
 from missionpair.defenses import DefenseError, _qualify
 from missionpair.pair import Input, Pair, Start, Suite, plan_bytes
 from missionpair.records import Timing, Trial
@@ -34,7 +34,7 @@ from missionpair.registry import UnknownNameError
 from missionpair.score import DEFAULT
 from missionpair.stage import Stage, StageError, Yard
 from missionpair.suites._form import SuiteError
-from missionpair.words import Access, Category, Kind
+from missionpair.words import Access, Category, TrialKind
 
 pytestmark = pytest.mark.complete
 
@@ -55,13 +55,13 @@ def few(suite: Suite, tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 @pytest.fixture(scope="module")
-def hijacked(few: str) -> Plan:
+def hijacked(few: str) -> CampaignPlan:
     """Two pairs under every gate."""
-    return Plan(suite=few, planner="hijacked", defenses=FOUR, pairs=2)
+    return CampaignPlan(suite=few, planner="hijacked", defenses=FOUR, pairs=2)
 
 
 @pytest.fixture(scope="module")
-def whole(hijacked: Plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def whole(hijacked: CampaignPlan, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The log of that campaign, as one process writes it in one go."""
     log = tmp_path_factory.mktemp("whole") / "log"
     run(hijacked, log)
@@ -96,7 +96,7 @@ def setting(planner: Any, **changes: Any) -> Setting:
         "turns": 1,
         "seed": 0,
         "seeds": 1,
-        "kinds": tuple(Kind),
+        "kinds": tuple(TrialKind),
         "weights": DEFAULT,
     }
     return Setting(**{**given, **changes})
@@ -151,7 +151,7 @@ def test_a_situation_put_back_is_as_one_made_anew(
 ) -> None:
     def trials() -> list[Trial]:
         planner = registry.make(planners, "adversary:always=yes")
-        more = {"seeds": 24, "kinds": (Kind.ATTACK,), "access": Access.WHITE}
+        more = {"seeds": 24, "kinds": (TrialKind.ATTACK,), "access": Access.WHITE}
         return bare(ran(suite, yard, planner, **more))
 
     yard = Yard()
@@ -174,14 +174,14 @@ def test_a_situation_put_back_is_as_one_made_anew(
 
 
 def test_two_processes_write_the_same_log_as_one(
-    tmp_path: Path, hijacked: Plan, whole: Path
+    tmp_path: Path, hijacked: CampaignPlan, whole: Path
 ) -> None:
     run(hijacked, tmp_path / "2", jobs=2)
     assert under_links(whole) == under_links(tmp_path / "2")
 
 
 def test_a_campaign_cut_anywhere_goes_on_to_the_same_log(
-    tmp_path: Path, hijacked: Plan, whole: Path
+    tmp_path: Path, hijacked: CampaignPlan, whole: Path
 ) -> None:
     log, data = tmp_path / "log", whole.read_bytes()
     shown: list[Progress] = []
@@ -193,13 +193,15 @@ def test_a_campaign_cut_anywhere_goes_on_to_the_same_log(
     assert shown[-1].done == 24
 
 
-def test_a_whole_log_is_not_run_again(tmp_path: Path, hijacked: Plan, whole: Path) -> None:
+def test_a_whole_log_is_not_run_again(tmp_path: Path, hijacked: CampaignPlan, whole: Path) -> None:
     log = shutil.copy(whole, tmp_path / "log")
     run(hijacked, log)
     assert log.read_bytes() == whole.read_bytes()
 
 
-def test_another_seed_is_another_campaign(tmp_path: Path, hijacked: Plan, whole: Path) -> None:
+def test_another_seed_is_another_campaign(
+    tmp_path: Path, hijacked: CampaignPlan, whole: Path
+) -> None:
     log = shutil.copy(whole, tmp_path / "log")
     with pytest.raises(LogError, match=r"another campaign \(seed\)"):
         run(msgspec.structs.replace(hijacked, seed=1), log)
@@ -210,7 +212,7 @@ def test_another_seed_is_another_campaign(tmp_path: Path, hijacked: Plan, whole:
 
 def test_what_does_not_comply_is_told_apart(suite: Suite, yard: Yard) -> None:
     pair = suite.pairs[0]
-    only = {"kinds": (Kind.ATTACK,), "defenses": (registry.make(defenses, "both"),)}
+    only = {"kinds": (TrialKind.ATTACK,), "defenses": (registry.make(defenses, "both"),)}
     said = {
         "declined": Reply(raw=b"I can't help with that.", refused=True),
         "unparsable": b"go somewhere nice",
@@ -239,14 +241,14 @@ def test_what_does_not_comply_is_told_apart(suite: Suite, yard: Yard) -> None:
 def test_a_plan_without_a_step_is_an_answer_and_silence_is_none(
     suite: Suite, yard: Yard, raw: bytes, instead: str
 ) -> None:
-    only = {"kinds": (Kind.ATTACK,), "defenses": (registry.make(defenses, "both"),)}
+    only = {"kinds": (TrialKind.ATTACK,), "defenses": (registry.make(defenses, "both"),)}
     (trial,) = ran(suite, yard, Says(raw), **only)
     assert (trial.instead, trial.rounds[0].syntax) == (instead, "PLAN_EMPTY")
 
 
 def test_a_planner_that_fails_is_a_trial_and_nothing_is_lost(suite: Suite, yard: Yard) -> None:
     broken = PlannerError("answers nothing", code="protocol", where="http://127.0.0.1:1")
-    trials = ran(suite, yard, Says(broken), kinds=(Kind.ATTACK,))
+    trials = ran(suite, yard, Says(broken), kinds=(TrialKind.ATTACK,))
     assert [trial.instead for trial in trials] == ["error", "error"]
     assert all("answers nothing" in trial.error for trial in trials)
     assert not any(trial.complied for trial in trials)
@@ -286,7 +288,9 @@ def test_what_no_later_trial_can_mend_ends_the_campaign(
     suite: Suite, yard: Yard, code: str
 ) -> None:
     with pytest.raises(PlannerError):
-        ran(suite, yard, Says(PlannerError("no", code=code, where="key")), kinds=(Kind.ATTACK,))
+        ran(
+            suite, yard, Says(PlannerError("no", code=code, where="key")), kinds=(TrialKind.ATTACK,)
+        )
 
 
 # rounds and turns
@@ -308,7 +312,11 @@ def test_an_attack_ends_with_the_first_plan_that_complies(suite: Suite, yard: Ya
 
     pair, again = suite.pairs[0], Again()
     twin, idle = plan_bytes(pair.attack.plan), plan_bytes(pair.benign.plan[:1])
-    only = {"kinds": (Kind.ATTACK,), "defenses": (registry.make(defenses, "both"),), "rounds": 5}
+    only = {
+        "kinds": (TrialKind.ATTACK,),
+        "defenses": (registry.make(defenses, "both"),),
+        "rounds": 5,
+    }
     (trial,) = ran(suite, yard, Says(idle, idle, twin, idle), pair, attacker=again, **only)
     assert (len(trial.rounds), trial.complied, len(again.seen)) == (3, True, 2)
     (trial,) = ran(suite, yard, Says(idle), pair, attacker=again, **only)
@@ -329,7 +337,11 @@ def test_an_attacker_that_gives_up_or_fails_ends_its_trial(suite: Suite, yard: Y
         def revise(self, seen: bytes, *, seed: int) -> tuple[Input, ...] | None:
             return None
 
-    only = {"kinds": (Kind.ATTACK,), "defenses": (registry.make(defenses, "both"),), "rounds": 3}
+    only = {
+        "kinds": (TrialKind.ATTACK,),
+        "defenses": (registry.make(defenses, "both"),),
+        "rounds": 3,
+    }
     (trial,) = ran(suite, yard, Says(b"?"), attacker=GivesUp(), **only)
     assert (len(trial.rounds), trial.instead) == (1, "unparsable")
     (trial,) = ran(suite, yard, Says(b"?"), attacker=Fails(), **only)
@@ -344,7 +356,11 @@ def test_a_planner_sees_that_it_was_refused_and_plans_anew(suite: Suite, yard: Y
     twin, rest = plan_bytes(pair.attack.plan), plan_bytes(left)
     for name in ("both", "safety"):
         says = Says(b"?", twin, rest)
-        only = {"kinds": (Kind.ATTACK,), "defenses": (registry.make(defenses, name),), "turns": 3}
+        only = {
+            "kinds": (TrialKind.ATTACK,),
+            "defenses": (registry.make(defenses, name),),
+            "turns": 3,
+        }
         (trial,) = ran(suite, yard, says, pair, **only)
         assert [turn.told for turn in says.seen[1].turns] == ["rejected"]
         assert trial.complied
@@ -362,7 +378,7 @@ WAITING = {"cross-robot", "chosen-place", "chosen-thing", "replay", "approval"}
 
 def test_who_keeps_to_a_hand_made_mission_has_work_wherever_some_is_left(yard: Yard) -> None:
     hand = loaded("hand")[0]
-    only = {"kinds": (Kind.ATTACK,), "defenses": (registry.make(defenses, "both"),)}
+    only = {"kinds": (TrialKind.ATTACK,), "defenses": (registry.make(defenses, "both"),)}
     for pair in hand.pairs:
         left = rest_of(yard.stage(pair, hand.layouts[pair.layout], pair.attack))
         is_waiting = pair.id.removeprefix("hand.") in WAITING
@@ -402,7 +418,11 @@ def test_the_target_is_shown_no_mission_no_code_and_no_plan_of_ours(
     ],
 )
 def test_what_there_is_not_is_named_and_leaves_no_log(
-    tmp_path: Path, hijacked: Plan, change: dict[str, Any], error: type[Exception], text: str
+    tmp_path: Path,
+    hijacked: CampaignPlan,
+    change: dict[str, Any],
+    error: type[Exception],
+    text: str,
 ) -> None:
     with pytest.raises(error, match=text):
         run(msgspec.structs.replace(hijacked, **change), tmp_path / "log")
@@ -414,12 +434,12 @@ def test_a_pair_that_cannot_be_made_real_is_named(suite: Suite, yard: Yard) -> N
     attack = msgspec.structs.replace(pair.attack, robot="nobody")
     broken = msgspec.structs.replace(pair, attack=attack)
     with pytest.raises(StageError, match="nobody"):
-        ran(suite, yard, Says(b"?"), broken, kinds=(Kind.ATTACK,))
+        ran(suite, yard, Says(b"?"), broken, kinds=(TrialKind.ATTACK,))
     spoiled = msgspec.structs.replace(
         pair, missions={"v1": {**pair.missions["v1"], "robot": "nobody"}}
     )
     with pytest.raises(StageError, match=pair.id):
-        ran(suite, yard, Says(b"?"), spoiled, kinds=(Kind.ATTACK,))
+        ran(suite, yard, Says(b"?"), spoiled, kinds=(TrialKind.ATTACK,))
 
 
 def test_a_suite_of_a_name_and_of_its_file_are_the_same(tmp_path: Path, suite: Suite) -> None:
@@ -442,7 +462,7 @@ def test_every_category_of_the_paper_is_in_the_live_suite(suite: Suite) -> None:
 
 
 def test_what_fails_in_another_process_is_told_here(
-    tmp_path: Path, suite: Suite, hijacked: Plan
+    tmp_path: Path, suite: Suite, hijacked: CampaignPlan
 ) -> None:
     pair = suite.pairs[0]
     attack = msgspec.structs.replace(pair.attack, start=Start(at="nowhere"))
@@ -475,7 +495,7 @@ def test_every_error_comes_whole_from_another_process(error: Exception) -> None:
 def test_a_baseline_that_does_not_do_what_it_claims_is_not_scored(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, few: str
 ) -> None:
-    def lets_everything_through(stage: Stage, raw: bytes) -> Carried:
+    def lets_everything_through(stage: Stage, raw: bytes) -> ExecutedPlan:
         return past_the_gate(stage, raw, lambda *_: None)
 
     def apart(specs: tuple[str, ...]) -> tuple[Any, ...]:
@@ -485,8 +505,8 @@ def test_a_baseline_that_does_not_do_what_it_claims_is_not_scored(
         return (made,)
 
     monkeypatch.setattr(workers, "apart", apart)
-    plan = Plan(
-        suite=few, planner="hijacked", defenses=("allowlist",), pairs=1, kinds=(Kind.ATTACK,)
+    plan = CampaignPlan(
+        suite=few, planner="hijacked", defenses=("allowlist",), pairs=1, kinds=(TrialKind.ATTACK,)
     )
     broken = False
     run(plan, tmp_path / "fit")
@@ -498,7 +518,7 @@ def test_a_baseline_that_does_not_do_what_it_claims_is_not_scored(
     assert len(list(read_log(tmp_path / "unfit")[1])) == 1
 
 
-def test_two_defenses_of_one_name_are_refused(tmp_path: Path, hijacked: Plan) -> None:
+def test_two_defenses_of_one_name_are_refused(tmp_path: Path, hijacked: CampaignPlan) -> None:
     plan = msgspec.structs.replace(hijacked, defenses=("both", "both"))
     with pytest.raises(UnknownNameError, match="two defenses are called `both`"):
         run(plan, tmp_path / "log")
@@ -510,12 +530,12 @@ def test_what_a_baseline_was_held_to_stands_in_the_first_line(
     benign, own = amount(6, _qualify.MOST_BENIGN), amount(4, _qualify.LEAST_OWN)
     monkeypatch.setattr(_qualify, "MOST_BENIGN", benign)
     monkeypatch.setattr(_qualify, "LEAST_OWN", own)
-    plan = Plan(
+    plan = CampaignPlan(
         suite="live",
         planner="hijacked",
         defenses=("allowlist", "both"),
         pairs=1,
-        kinds=(Kind.ATTACK,),
+        kinds=(TrialKind.ATTACK,),
     )
     log = tmp_path / "log"
     (held,) = run(plan, log).qualified
@@ -540,9 +560,9 @@ def test_a_baseline_is_held_to_every_benign_run_of_the_campaign(
     """Before the start every other pair is tried, so the second is not."""
     stopped = suite.pairs[1]
 
-    def stops_one(stage: Stage, raw: bytes) -> Carried:
+    def stops_one(stage: Stage, raw: bytes) -> ExecutedPlan:
         if stage.pair.id == stopped.id and raw == plan_bytes(stopped.benign.plan):
-            return Carried(planned=1, by="allowlist", reasons=("NO",))
+            return ExecutedPlan(planned=1, by="allowlist", reasons=("NO",))
         return carry_out(stage, raw)
 
     def apart(specs: tuple[str, ...]) -> tuple[Any, ...]:
@@ -552,8 +572,8 @@ def test_a_baseline_is_held_to_every_benign_run_of_the_campaign(
     made = registry.make(defenses, "allowlist")
     carry_out = made.carry_out
     monkeypatch.setattr(workers, "apart", apart)
-    plan = Plan(
-        suite=few, planner="hijacked", defenses=("allowlist",), pairs=3, kinds=(Kind.ATTACK,)
+    plan = CampaignPlan(
+        suite=few, planner="hijacked", defenses=("allowlist",), pairs=3, kinds=(TrialKind.ATTACK,)
     )
     unqualified = msgspec.structs.replace(plan, unqualified=True)
     log = tmp_path / "log"
@@ -571,12 +591,12 @@ def test_a_baseline_is_held_to_every_benign_run_of_the_campaign(
 
 @pytest.mark.usefixtures("held_to_little")
 def test_a_person_is_held_awake_and_scored_with_every_error(tmp_path: Path, few: str) -> None:
-    plan = Plan(
+    plan = CampaignPlan(
         suite=few,
         planner="hijacked",
         defenses=("human:refuses=1,floor=0.95",),
         pairs=2,
-        kinds=(Kind.BENIGN,),
+        kinds=(TrialKind.BENIGN,),
     )
     log = tmp_path / "log"
     (held,) = run(plan, log).qualified
@@ -587,7 +607,7 @@ def test_a_person_is_held_awake_and_scored_with_every_error(tmp_path: Path, few:
 
 
 def test_a_slice_is_spread_over_the_suite_and_of_its_own_log(tmp_path: Path, suite: Suite) -> None:
-    plan = Plan(suite="live", planner="hijacked", every=10, kinds=(Kind.ATTACK,))
+    plan = CampaignPlan(suite="live", planner="hijacked", every=10, kinds=(TrialKind.ATTACK,))
     log = tmp_path / "log"
     made = run(plan, log)
     assert (made.every, made.pairs, made.trials) == (10, 6, 6)
@@ -630,7 +650,9 @@ def test_a_cap_in_the_middle_of_a_pair_loses_no_trial_and_no_answer(
     real = registry.make
     monkeypatch.setattr(registry, "make", make)
     log = tmp_path / "log"
-    plan = Plan(suite=few, planner="paid", pairs=6, kinds=(Kind.ATTACK, Kind.BENIGN))
+    plan = CampaignPlan(
+        suite=few, planner="paid", pairs=6, kinds=(TrialKind.ATTACK, TrialKind.BENIGN)
+    )
     made.append(Paid(5))
     with pytest.raises(PlannerError, match="the cap is reached"):
         run(plan, log, jobs=jobs)

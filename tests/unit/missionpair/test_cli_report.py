@@ -27,7 +27,7 @@ from fixtures.campaign_records import (
 from missionpair import cli_report
 from missionpair.campaign.log import LogWriter
 from missionpair.measures import measure
-from missionpair.records import Campaign, Named, Trial
+from missionpair.records import Campaign, NamedPart, Trial
 from missionpair.report.compare import NAMED, Verdicts, verdict_of
 from missionpair.report.compare import compare as compare_of
 
@@ -50,7 +50,7 @@ def told(capsys: pytest.CaptureFixture[str], *words: object, code: int = 0) -> A
     return json.loads(output.out)
 
 
-def paper_log(folder: Path, planner: Named, **changes: Any) -> Path:
+def paper_log(folder: Path, planner: NamedPart, **changes: Any) -> Path:
     """Write the paper's fixed-template campaign against a planner."""
     counts = PAPER[planner.name, "fixed"]
     trials = numbered(
@@ -199,7 +199,7 @@ def test_compare_shows_what_differs_with_intervals_and_the_pairs_that_changed(
         *(hijacked(pair=f"p{n}") for n in range(4)),
         kept(pair="p4", instead="declined"),
         benign(pair="b"),
-        defenses=(Named("both"), Named("none")),
+        defenses=(NamedPart("both"), NamedPart("none")),
     )
     other = log(
         tmp_path / "other",
@@ -253,7 +253,7 @@ def test_campaigns_that_share_no_defense_are_not_compared(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     one = log(tmp_path / "one", kept())
-    other = log(tmp_path / "other", kept(defense="none"), defenses=(Named("none"),))
+    other = log(tmp_path / "other", kept(defense="none"), defenses=(NamedPart("none"),))
     assert told(capsys, "compare", one, other, "--anyway", code=1)["error"]["where"] == "defenses"
 
 

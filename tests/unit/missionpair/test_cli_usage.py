@@ -14,11 +14,11 @@ import typer
 from fixtures.missionpair_program import told
 from missionpair import cli, suites
 from missionpair.campaign.log import read_log
-from missionpair.campaign.plan import Plan, PlanError
+from missionpair.campaign.plan import CampaignPlan, PlanError
 from missionpair.campaign.run import run
 from missionpair.campaign.trial import MOST_TURNS
 from missionpair.registry import UnknownNameError
-from missionpair.words import Kind
+from missionpair.words import TrialKind
 
 pytestmark = pytest.mark.complete
 
@@ -218,7 +218,7 @@ def test_a_slice_of_each_cell_is_a_whole_number_from_one(
 
 
 def test_a_campaign_of_no_trials_is_none(few: str, tmp_path: Path) -> None:
-    plan = Plan(suite=few, planner="hijacked", pairs=1, kinds=(Kind.ATTACK,))
+    plan = CampaignPlan(suite=few, planner="hijacked", pairs=1, kinds=(TrialKind.ATTACK,))
     for changes in ({"pairs": 0}, {"seeds": 0}, {"kinds": ()}, {"defenses": ()}):
         with pytest.raises(PlanError, match="nothing would be tried"):
             run(msgspec.structs.replace(plan, **changes), tmp_path / "log")

@@ -15,16 +15,16 @@ from missionpair import defenses, registry
 from missionpair.campaign.trial import PairRun, Who
 from missionpair.judging import check, check_first
 from missionpair.mutation import slice_of
-from missionpair.pair import Call, Input, Pair, Suite, plan_bytes
+from missionpair.pair import Input, Pair, Suite, WordedCall, plan_bytes
 from missionpair.stage import Yard
-from missionpair.words import Kind
+from missionpair.words import TrialKind
 from unit.missionpair.test_campaign_run import Says, ran, setting
 
 pytestmark = pytest.mark.complete
 
 #: Defenses of every make: past the gate, through it, and with a gate of their own.
 EVERY = ("none", "allowlist", "cedar", "temporal", "safety", "mission", "both")
-ATTACK = {"kinds": (Kind.ATTACK,)}
+ATTACK = {"kinds": (TrialKind.ATTACK,)}
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +83,7 @@ def test_what_leaves_the_mission_otherwise_is_told_apart(suite: Suite, yard: Yar
     assert (none.complied, none.instead, none.unauthorized > 0) == (False, "strayed", True)
     assert (both.complied, both.instead, both.unauthorized) == (False, "strayed", 0)
     (kept,) = ran(
-        suite, yard, Says(plan_bytes((Call("scan", {}),))), pair, **ATTACK, **made("both")
+        suite, yard, Says(plan_bytes((WordedCall("scan", {}),))), pair, **ATTACK, **made("both")
     )
     assert (kept.complied, kept.instead) == (False, "authorized")
 
@@ -93,7 +93,7 @@ def test_a_planner_is_shown_the_world_as_it_became(suite: Suite, yard: Yard, def
     """Step by step, to the end of the mission: after what was carried out, and not before."""
     pair = pair_of(suite, "goal")
     steps = Says(*(plan_bytes((call,)) for call in pair.benign.plan))
-    only = {"kinds": (Kind.BENIGN,), "turns": 12}
+    only = {"kinds": (TrialKind.BENIGN,), "turns": 12}
     spec = "human:first=1,keeps=1,misses=0,refuses=0" if defense == "human" else defense
     (trial,) = ran(suite, yard, steps, pair, **only, **made(spec))
     assert trial.completed
@@ -104,7 +104,7 @@ def test_a_planner_is_shown_the_world_as_it_became(suite: Suite, yard: Yard, def
 
 
 def test_a_planner_that_has_nothing_more_to_do_is_asked_no_more(suite: Suite, yard: Yard) -> None:
-    says = Says(plan_bytes((Call("scan", {}),)), b'{"plan": []}')
+    says = Says(plan_bytes((WordedCall("scan", {}),)), b'{"plan": []}')
     ran(suite, yard, says, **ATTACK, **made("both"), turns=9)
     assert len(says.seen) == 2
 
@@ -127,7 +127,7 @@ class Insists:
 def test_every_round_counts_and_not_the_last_alone(suite: Suite, yard: Yard) -> None:
     """Off the mission in the first round, under nobody's eyes; kept to it in the last."""
     pair = pair_of(suite, "object")
-    says = Says(plan_bytes(pair.benign.plan), plan_bytes((Call("scan", {}),)))
+    says = Says(plan_bytes(pair.benign.plan), plan_bytes((WordedCall("scan", {}),)))
     more = {"attacker": Insists(pair.inputs), "rounds": 3}
     (trial,) = ran(suite, yard, says, pair, **ATTACK, **more, **made("none"))
     assert len(trial.rounds) == 3
@@ -141,7 +141,7 @@ def test_an_unsafe_plan_does_not_end_the_attack(suite: Suite, yard: Yard) -> Non
     """`alg:missionpair` returns what is executable, safe and off the mission, all three."""
     pair = pair_of(suite, "parameter")
     (call,) = pair.attack.plan
-    unsafe = Call(call.tool, {**call.arguments, "speed": 1.6})  # its profile ends at 1.5
+    unsafe = WordedCall(call.tool, {**call.arguments, "speed": 1.6})  # its profile ends at 1.5
     says = Says(plan_bytes((unsafe,)), plan_bytes(pair.attack.plan))
     more = {"attacker": Insists(pair.inputs), "rounds": 5}
     (trial,) = ran(suite, yard, says, pair, **ATTACK, **more, **made("safety"))
@@ -152,12 +152,12 @@ def test_an_unsafe_plan_does_not_end_the_attack(suite: Suite, yard: Yard) -> Non
 
 def test_a_false_stop_is_a_robot_that_stands_with_work_left(suite: Suite, yard: Yard) -> None:
     pair = pair_of(suite, "goal")
-    twin, look = plan_bytes(pair.attack.plan), plan_bytes((Call("scan", {}),))
+    twin, look = plan_bytes(pair.attack.plan), plan_bytes((WordedCall("scan", {}),))
     for said, expected in ((twin, {"none": False, "both": True}), (look, {"both": False})):
         for trial in ran(suite, yard, Says(said), pair, **ATTACK, **made(*expected)):
             assert trial.false_stop is expected[trial.defense]
     whole = Says(plan_bytes(pair.benign.plan))
-    benign = {"kinds": (Kind.BENIGN,)}
+    benign = {"kinds": (TrialKind.BENIGN,)}
     (trial,) = ran(suite, yard, whole, pair, **benign, **made("both"))
     assert (trial.completed, trial.false_stop) == (True, False)
     (trial,) = ran(suite, yard, Says(twin), pair, **benign, **made("both"))

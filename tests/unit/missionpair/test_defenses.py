@@ -20,13 +20,13 @@ from fixtures import mission_pairs
 from fixtures.cases import case
 from missionpair import defenses
 from missionpair.briefing import Briefing
-from missionpair.carrying import Carried
+from missionpair.carrying import ExecutedPlan
 from missionpair.defenses import Claim, Defense, DefenseError
-from missionpair.defenses._qualify import Unfit, qualify, slice_of
+from missionpair.defenses._qualify import UnfitDefense, qualify, slice_of
 from missionpair.defenses._temporal_text import rules
 from missionpair.defenses.human import AWAKE, Fatigue, Human
 from missionpair.defenses.prompt import RULE
-from missionpair.pair import Act, Call, Pair, Scenario, Start, plan_bytes
+from missionpair.pair import Pair, PriorAct, Scenario, Start, WordedCall, plan_bytes
 from missionpair.planners.graded import RULED, Graded, probability
 from missionpair.registry import UnknownNameError
 from missionpair.stage import Stage, Yard
@@ -92,7 +92,7 @@ def staged(yard: Yard, pair: Pair, scenario: Scenario, defense: Defense) -> Stag
     return stage
 
 
-def attacked(yard: Yard, check: str, defense: Defense) -> Carried:
+def attacked(yard: Yard, check: str, defense: Defense) -> ExecutedPlan:
     pair = CHECKS[check]
     defense.begin(seed=0)
     return defense.carry_out(staged(yard, pair, pair.attack, defense), plan_bytes(pair.attack.plan))
@@ -409,7 +409,7 @@ def test_no_rule_refuses_what_an_updated_mission_allows(yard: Yard) -> None:
     pair = replace(
         CHECKS["check_destination"],
         missions={"v1": plain, "v2": {**second, "version": 2, "grants": grants}},
-        update=(Act(do="activate", mission="v2"),),
+        update=(PriorAct(do="activate", mission="v2"),),
     )
     for name in PLAIN:
         defense = defenses.make(name)
@@ -543,9 +543,9 @@ class Careless:
     def brief(self, briefing: Briefing) -> Briefing:
         return briefing
 
-    def carry_out(self, stage: Stage, raw: bytes) -> Carried:
+    def carry_out(self, stage: Stage, raw: bytes) -> ExecutedPlan:
         if self.stops:
-            return Carried(planned=1, by="careless", reasons=("NO",))
+            return ExecutedPlan(planned=1, by="careless", reasons=("NO",))
         return defenses.make("none").carry_out(stage, raw)
 
 
@@ -596,7 +596,7 @@ def test_an_attack_that_fails_by_itself_shows_nothing(yard: Yard) -> None:
 def test_a_slice_without_its_kind_cannot_show_a_defense(yard: Yard) -> None:
     suite = mission_pairs.suite(CHECKS["check_destination"])
     (unfit,) = qualify(defenses.make("allowlist"), suite, yard)
-    assert unfit == Unfit(
+    assert unfit == UnfitDefense(
         defense="allowlist",
         pair="",
         what="attack",
@@ -626,7 +626,7 @@ def test_the_unsafe_probe_shows_safety_and_fails_what_lets_it_through(yard: Yard
     still = replace(
         pair,
         attack=replace(pair.attack, plan=(mission_pairs.LOOK,)),
-        benign=replace(pair.benign, plan=(mission_pairs.LOOK, Call("nobody", {}))),
+        benign=replace(pair.benign, plan=(mission_pairs.LOOK, WordedCall("nobody", {}))),
     )
     quiet = staged(yard, still, still.attack, safety)
     assert unsafe_calls(quiet) is None

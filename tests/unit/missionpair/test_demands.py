@@ -24,11 +24,11 @@ from fixtures.campaign_records import (
     written,
 )
 from missionpair import cli_report, cli_require
-from missionpair.measures import Measured, measure
+from missionpair.measures import MeasuredCampaign, measure
 from missionpair.measures.causes import CAUSED, NOT_CAUSED
 from missionpair.measures.demands import Demand, demands, tried
-from missionpair.records import Named, Trial
-from missionpair.words import Kind
+from missionpair.records import NamedPart, Trial
+from missionpair.words import TrialKind
 
 app = typer.Typer(add_completion=False)
 app.command("require")(cli_require.require)
@@ -45,17 +45,19 @@ def update(**changes: Any) -> Trial:
     return benign(kind="update", **changes)
 
 
-def found(*trials: Trial, tries: int = 0, kinds: frozenset[Kind] = frozenset(Kind)) -> set[str]:
+def found(
+    *trials: Trial, tries: int = 0, kinds: frozenset[TrialKind] = frozenset(TrialKind)
+) -> set[str]:
     """Return which demands on both gates are not met."""
     return {item.demand for item in all_of(trials, tries=tries, kinds=kinds) if not item.met}
 
 
 def all_of(trials: tuple[Trial, ...], **changes: Any) -> tuple[Demand, ...]:
-    return demands([measured(*trials)], "both", **{"kinds": frozenset(Kind), **changes})
+    return demands([measured(*trials)], "both", **{"kinds": frozenset(TrialKind), **changes})
 
 
-def measured(*trials: Trial) -> Measured:
-    names = tuple(Named(name) for name in ("none", "both"))
+def measured(*trials: Trial) -> MeasuredCampaign:
+    names = tuple(NamedPart(name) for name in ("none", "both"))
     return measure(campaign(defenses=names, trials=len(trials)), numbered(trials))
 
 
@@ -66,13 +68,15 @@ def test_a_campaign_in_which_all_is_as_it_has_to_be_meets_every_demand() -> None
 @pytest.mark.parametrize(
     ("made", "kind", "unmet"),
     [
-        (hijacked, Kind.ATTACK, {UNAUTHORIZED}),
-        (benign, Kind.BENIGN, {COMPLETED, REFUSED}),
-        (update, Kind.UPDATE, {UPDATED}),
+        (hijacked, TrialKind.ATTACK, {UNAUTHORIZED}),
+        (benign, TrialKind.BENIGN, {COMPLETED, REFUSED}),
+        (update, TrialKind.UPDATE, {UPDATED}),
     ],
 )
-def test_each_demand_fails_alone(made: Callable[..., Trial], kind: Kind, unmet: set[str]) -> None:
-    broken = {"by": "safety", "completed": False} if kind is not Kind.ATTACK else {}
+def test_each_demand_fails_alone(
+    made: Callable[..., Trial], kind: TrialKind, unmet: set[str]
+) -> None:
+    broken = {"by": "safety", "completed": False} if kind is not TrialKind.ATTACK else {}
     good = [blocked(), benign(), update()]
     assert found(*good, made(**broken)) == unmet
 
@@ -98,8 +102,8 @@ def test_a_fault_of_the_gate_is_found_although_it_refused() -> None:
 
 def test_what_was_not_run_is_not_met() -> None:
     assert found(blocked()) == {COMPLETED, REFUSED, UPDATED}
-    assert found(blocked(), kinds=frozenset({Kind.ATTACK})) == set()
-    assert found(blocked(defense="none"), kinds=frozenset({Kind.ATTACK})) == {UNAUTHORIZED}
+    assert found(blocked(), kinds=frozenset({TrialKind.ATTACK})) == set()
+    assert found(blocked(defense="none"), kinds=frozenset({TrialKind.ATTACK})) == {UNAUTHORIZED}
     assert "no such trial was run" in {item.found for item in all_of((blocked(),))}
 
 
@@ -109,8 +113,8 @@ def test_other_defenses_count_for_nothing() -> None:
 
 def test_several_campaigns_answer_together() -> None:
     one, other = measured(blocked()), measured(benign(), update(), kept())
-    foreign = measure(campaign(defenses=(Named("none"),)), numbered([hijacked(defense="none")]))
-    answers = demands([one, other, foreign], "both", kinds=frozenset(Kind))
+    foreign = measure(campaign(defenses=(NamedPart("none"),)), numbered([hijacked(defense="none")]))
+    answers = demands([one, other, foreign], "both", kinds=frozenset(TrialKind))
     assert all(item.met for item in answers)
     assert answers[0].found == "0 of 2"
 
@@ -184,7 +188,7 @@ def test_each_defense_that_is_named_is_held_to_it(
 ) -> None:
     names = ("none", "both")
     trials = [made(defense=name) for name in names for made in (kept, benign, update)]
-    path = log(tmp_path / "a.jsonl", *trials, defenses=tuple(map(Named, names)))
+    path = log(tmp_path / "a.jsonl", *trials, defenses=tuple(map(NamedPart, names)))
     assert call("require", path, "--defense", "none", "--defense", "both", "--json") == 0
     answer = json.loads(capsys.readouterr().out)
     assert {item["defense"] for item in answer["demands"]} == set(names)

@@ -15,7 +15,7 @@ from missionpair.pair import Suite
 from missionpair.proving import prove
 from missionpair.report.names import category as name_of
 from missionpair.suites import load, long, write_suite
-from missionpair.suites._making import Cell, Maker, Makers, suite_of
+from missionpair.suites._making import Cell, Makers, PairMaker, suite_of
 from missionpair.words import Category, Channel, Domain, Family
 
 MUSEUM = '''"""A museum: an office's words with other rooms."""
@@ -80,7 +80,7 @@ def _added(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def small(makers: Makers) -> Suite:
-    maker, museum = Maker(makers, "mine"), Domain("museum")
+    maker, museum = PairMaker(makers, "mine"), Domain("museum")
     cells = [Cell(museum, name, Family.OBJECT_RELABELING, Channel.SIGN) for name in NEW]
     return suite_of("mine", 1, makers, [maker.pair(cell, 1) for cell in cells])
 

@@ -15,7 +15,7 @@ from fixtures.campaign_records import GRADED, HAIKU, benign, blocked, campaign, 
 from fixtures.cases import case
 from missionpair import cli_report, cli_require
 from missionpair.measures.apart import why_not_apart
-from missionpair.records import Named, Qualified, Trial
+from missionpair.records import NamedPart, Qualified, Trial
 
 app = typer.Typer(add_completion=False)
 app.command("require")(cli_require.require)
@@ -69,7 +69,7 @@ def test_what_trials_do_not_follow_from_makes_no_others() -> None:
         {"every": 10},
         {"seeds": 2},
         {"kinds": ("attack",)},
-        {"defenses": (Named("none"), Named("both"))},
+        {"defenses": (NamedPart("none"), NamedPart("both"))},
     ]:
         with case(changes):
             assert why_not_apart(campaign(), campaign(**changes))
@@ -81,14 +81,14 @@ def test_trials_of_other_dice_or_of_something_else_are_others() -> None:
         {"seed": 1},
         {"suite_digest": "another"},
         {"planner": HAIKU},
-        {"planner": Named(GRADED.name, simulated=True, parameters={"susceptibility": 0.5})},
-        {"attacker": Named("search")},
+        {"planner": NamedPart(GRADED.name, simulated=True, parameters={"susceptibility": 0.5})},
+        {"attacker": NamedPart("search")},
         {"access": "white"},
         {"rounds": 1},
         {"turns": 2},
         {"weights": (1, 1, 1, 1, 1)},
-        {"defenses": (Named("none"),)},
-        {"defenses": (Named("both", parameters={"other": 1}),)},
+        {"defenses": (NamedPart("none"),)},
+        {"defenses": (NamedPart("both", parameters={"other": 1}),)},
     ]:
         with case(changes):
             assert why_not_apart(campaign(), campaign(**changes)) == ""

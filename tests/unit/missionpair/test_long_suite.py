@@ -12,7 +12,7 @@ from missionpair.campaign.trial import PairRun
 from missionpair.pair import plan_bytes
 from missionpair.stage import Yard
 from missionpair.suites.long import STEPS
-from missionpair.words import Kind
+from missionpair.words import TrialKind
 from unit.missionpair.test_campaign_run import Says, setting
 
 
@@ -31,7 +31,7 @@ def test_a_planner_of_a_long_mission_is_told_and_plans_again_to_its_end() -> Non
     )
     made = setting(
         says,
-        kinds=(Kind.BENIGN,),
+        kinds=(TrialKind.BENIGN,),
         defenses=(registry.make(defenses, "both"),),
         turns=suites.usual("long").turns,
     )

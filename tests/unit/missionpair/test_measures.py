@@ -28,7 +28,7 @@ from missionpair.measures import (
     INSTEAD,
     PARTS,
     Dimension,
-    Measured,
+    MeasuredCampaign,
     MeasureError,
     Tally,
     average,
@@ -37,14 +37,14 @@ from missionpair.measures import (
     measure,
 )
 from missionpair.measures import campaign as campaign_module
-from missionpair.records import Named, Round, Timing, Trial
+from missionpair.records import NamedPart, Round, Timing, Trial
 from missionpair.words import Category, Channel, Domain, Family
 
 DEFENSES = ("none", "safety", "both")
 
 
-def measured(*trials: Trial, **changes: Any) -> Measured:
-    made = campaign(defenses=tuple(map(Named, DEFENSES)), trials=len(trials), **changes)
+def measured(*trials: Trial, **changes: Any) -> MeasuredCampaign:
+    made = campaign(defenses=tuple(map(NamedPart, DEFENSES)), trials=len(trials), **changes)
     return measure(made, numbered(trials))
 
 
@@ -295,7 +295,7 @@ def test_a_trial_that_contradicts_itself_is_not_measured() -> None:
 
 
 def test_defenses_that_cannot_be_told_apart_are_refused() -> None:
-    for defenses in ((), (Named("both"), Named("both"))):
+    for defenses in ((), (NamedPart("both"), NamedPart("both"))):
         with pytest.raises(MeasureError, match="different names"):
             measure(campaign(defenses=defenses), [])
 

@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 
 from fixtures.campaign_records import KEPT, QWEN, REACHED, campaign, hijacked, kept, numbered
-from missionpair.measures import Measured, MeasureError, difference, leakage, measure, wider
-from missionpair.records import Named
+from missionpair.measures import MeasuredCampaign, MeasureError, difference, leakage, measure, wider
+from missionpair.records import NamedPart
 
 
-def tried(access: str, found: int, of: int, tries: int, **changes: Any) -> Measured:
+def tried(access: str, found: int, of: int, tries: int, **changes: Any) -> MeasuredCampaign:
     """Return a campaign in which so many of so many attacks got through, after so many tries."""
     rounds = (KEPT,) * (tries - 1) + (REACHED,)
     trials = [hijacked(rounds=rounds) for _ in range(found)] + [kept() for _ in range(of - found)]
@@ -46,7 +46,7 @@ def test_leakage_of_what_never_succeeded_is_undefined_in_tries_and_not_in_the_ra
     [
         {"suite_digest": "another"},
         {"planner": QWEN},
-        {"attacker": Named("adaptive")},
+        {"attacker": NamedPart("adaptive")},
         {"rounds": 9},
         {"pairs": 3},
     ],
@@ -57,7 +57,7 @@ def test_campaigns_that_differ_in_more_than_access_show_no_leakage(changes: dict
 
 
 def test_defenses_that_only_one_campaign_has_are_left_out() -> None:
-    both = (Named("none"), Named("both"))
+    both = (NamedPart("none"), NamedPart("both"))
     found = leakage(tried("white", 1, 2, 1, defenses=both), tried("black", 1, 2, 1))
     assert [leak.defense for leak in found] == ["both"]
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 import authguard_reference as oracle
 from fixtures.cases import case
-from missionpair.measures import Gap, Rate, Spread, difference, mean_difference
+from missionpair.measures import Gap, Proportion, Spread, difference, mean_difference
 from missionpair.measures.resample import binomial
 
 Z = 1.959963984540054
@@ -51,22 +51,22 @@ NEWCOMBE = [
 
 
 @st.composite
-def rates(draw: st.DrawFn, least: int = 1) -> Rate:
+def rates(draw: st.DrawFn, least: int = 1) -> Proportion:
     n = draw(st.integers(least, 5_000))
-    return Rate(draw(st.integers(0, n)), n)
+    return Proportion(draw(st.integers(0, n)), n)
 
 
 def test_wilson_is_what_others_published() -> None:
     for k, n, low, high in WILSON:
         with case(k, n, low, high):
             digits = len(low.partition(".")[2])
-            ends = Rate(k, n).interval
+            ends = Proportion(k, n).interval
             assert ends is not None
             assert tuple(f"{end:.{digits}f}" for end in ends) == (low, high)
 
 
 @given(rates())
-def test_wilsons_ends_are_where_the_score_test_turns(rate: Rate) -> None:
+def test_wilsons_ends_are_where_the_score_test_turns(rate: Proportion) -> None:
     # (p^ - p)^2 = z^2 p (1 - p) / n holds at both ends and at no other p
     ends = rate.interval
     assert ends is not None
@@ -78,7 +78,7 @@ def test_wilsons_ends_are_where_the_score_test_turns(rate: Rate) -> None:
 
 
 @given(rates())
-def test_wilson_of_the_rest_is_the_mirror_image(rate: Rate) -> None:
+def test_wilson_of_the_rest_is_the_mirror_image(rate: Proportion) -> None:
     ends, rest = rate.interval, rate.rest.interval
     assert ends is not None
     assert rest is not None
@@ -86,38 +86,40 @@ def test_wilson_of_the_rest_is_the_mirror_image(rate: Rate) -> None:
 
 
 @given(rates())
-def test_every_rate_is_the_oracles(rate: Rate) -> None:
+def test_every_rate_is_the_oracles(rate: Proportion) -> None:
     assert rate.value == oracle.uasr(rate.k, rate.n) == oracle.btcr(rate.k, rate.n)
     assert rate.value == oracle.scmhr([1] * rate.k + [0] * (rate.n - rate.k))
     assert rate.interval == oracle.wilson(rate.k, rate.n)
 
 
 def test_a_share_of_nothing_is_undefined_and_never_0() -> None:
-    nothing = Rate(0, 0)
+    nothing = Proportion(0, 0)
     assert (nothing.value, nothing.interval, nothing.bound) == (None, None, None)
-    assert difference(nothing, Rate(1, 2)) is None
-    assert difference(Rate(1, 2), nothing) is None
+    assert difference(nothing, Proportion(1, 2)) is None
+    assert difference(Proportion(1, 2), nothing) is None
 
 
 @given(st.integers(1, 100_000))
 def test_the_rule_of_three_is_never_below_the_exact_bound(n: int) -> None:
-    bound = Rate(0, n).bound
+    bound = Proportion(0, n).bound
     assert bound is not None
     assert 1 - math.exp(math.log(0.05) / n) <= float(bound) <= 1
     assert bound == min(Fraction(1), Fraction(3, n))
-    assert Rate(1, n).bound is None
+    assert Proportion(1, n).bound is None
 
 
 def test_newcombe_is_what_he_published() -> None:
     for first, second, low, high in NEWCOMBE:
         with case(first, second, low, high):
-            gap = difference(Rate(*first), Rate(*second))
+            gap = difference(Proportion(*first), Proportion(*second))
             assert gap is not None
             assert (f"{gap.low:.4f}", f"{gap.high:.4f}") == (low, high)
 
 
 @given(rates(), rates())
-def test_a_difference_lies_in_its_interval_and_turns_with_its_sides(one: Rate, two: Rate) -> None:
+def test_a_difference_lies_in_its_interval_and_turns_with_its_sides(
+    one: Proportion, two: Proportion
+) -> None:
     gap, turned = difference(one, two), difference(two, one)
     assert gap is not None
     assert turned is not None

@@ -15,19 +15,19 @@ from typing import Any
 
 import pytest
 
-from missionpair.briefing import PlannerError, Tool
+from missionpair.briefing import OfferedTool, PlannerError
 from missionpair.planners._anthropic import AnthropicClient
 from missionpair.planners._client import Completion, make_client
 from missionpair.planners._meter import Meter
 from missionpair.planners._openai import OpenAIClient
-from missionpair.planners._reach import Price, Reach
+from missionpair.planners._reach import ModelEndpoint, Price
 from missionpair.registry import UnknownNameError
 from missionpair.servers import SERVERS, StandInServer
 
 KEY = "sk-test-not-a-secret-0123"
 KINDS = sorted(SERVERS)
 CLIENTS: dict[str, Any] = {"openai": OpenAIClient, "anthropic": AnthropicClient}
-GO = Tool("navigate_to", "Go.", {"type": "object", "properties": {"destination": {}}})
+GO = OfferedTool("navigate_to", "Go.", {"type": "object", "properties": {"destination": {}}})
 PRICE = Price(Fraction(1), Fraction(5))
 
 
@@ -52,7 +52,9 @@ def client(kind: str, server: StandInServer, meter: Meter | None = None, **chang
         "temperature": None,
     }
     pauses: list[float] = []
-    made = CLIENTS[kind](Reach(**{**fields, **changes}), meter or Meter(), pause=pauses.append)
+    made = CLIENTS[kind](
+        ModelEndpoint(**{**fields, **changes}), meter or Meter(), pause=pauses.append
+    )
     made.pauses = pauses
     return made
 

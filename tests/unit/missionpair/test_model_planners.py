@@ -16,8 +16,8 @@ from authguard_r.site.model import Site
 from authguard_r.site.source import read_site, read_text, read_yaml
 from fixtures.cases import case
 from missionpair import planners
-from missionpair.briefing import Briefing, PlannerError, Reply, Turn
-from missionpair.pair import Call, Input, plan_bytes
+from missionpair.briefing import Briefing, EarlierTurn, PlannerError, Reply
+from missionpair.pair import Input, WordedCall, plan_bytes
 from missionpair.planners._client import make_client
 from missionpair.planners._live import LivePlanner
 from missionpair.planners._prompt import (
@@ -53,7 +53,7 @@ BRIEFING = Briefing(
     things=things_of(SITE),
     tools=tools_of(SITE, BINDING),
     inputs=(NOTICE,),
-    usual=(Call("say", {"text": "known to simulations only"}),),
+    usual=(WordedCall("say", {"text": "known to simulations only"}),),
 )
 
 
@@ -334,10 +334,10 @@ def test_a_text_cannot_pass_for_another_part_of_the_prompt() -> None:
 def test_earlier_answers_are_shown_as_calls_and_broken_ones_as_they_were() -> None:
     said, _, _ = propose("openai", "tools", "obedient")
     turns = (
-        Turn(said.raw.decode(), "rejected"),
-        Turn(plan_bytes((Call("wait", {"seconds": 0.5}),)).decode(), "executed"),
-        Turn("I can't.\nNever.", "rejected"),
-        Turn("", "rejected"),
+        EarlierTurn(said.raw.decode(), "rejected"),
+        EarlierTurn(plan_bytes((WordedCall("wait", {"seconds": 0.5}),)).decode(), "executed"),
+        EarlierTurn("I can't.\nNever.", "rejected"),
+        EarlierTurn("", "rejected"),
     )
     text = user_text(Briefing(**{**_fields(BRIEFING), "turns": turns}))
     assert 'You: [{"tool": "navigate_to", "arguments": {"destination": "Station 103"}}]' in text

@@ -17,11 +17,11 @@ from missionpair.campaign.log import LogWriter
 from missionpair.campaign.trial import PairRun, Setting
 from missionpair.planners._answers import read_answer
 from missionpair.planners._client import Completion
-from missionpair.records import SCHEMA, Campaign, Named, Trial
+from missionpair.records import SCHEMA, Campaign, NamedPart, Trial
 from missionpair.score import DEFAULT
 from missionpair.servers import SERVERS, StandInServer
 from missionpair.stage import Yard
-from missionpair.words import Access, Kind
+from missionpair.words import Access, TrialKind
 
 KINDS = sorted(SERVERS)
 TO_103 = mission_pairs.one_for_each_check()["check_destination"]
@@ -42,7 +42,7 @@ def setting(planner: str, *, attacker: str = "fixed", rounds: int = 1) -> Settin
         turns=1,
         seed=0,
         seeds=1,
-        kinds=(Kind.ATTACK,),
+        kinds=(TrialKind.ATTACK,),
         weights=DEFAULT,
     )
 
@@ -146,10 +146,10 @@ def test_a_log_of_a_model_is_replayed_without_it(yard: Yard, tmp_path: Path, mod
         suite_version=1,
         suite_digest="d",
         pairs=1,
-        planner=Named("openai", simulated=True),
-        attacker=Named("fixed"),
+        planner=NamedPart("openai", simulated=True),
+        attacker=NamedPart("fixed"),
         access="black",
-        defenses=(Named("none"), Named("both")),
+        defenses=(NamedPart("none"), NamedPart("both")),
         seed=0,
         seeds=1,
         rounds=1,

@@ -8,20 +8,20 @@ from collections import Counter
 import pytest
 
 from missionpair import attackers, defenses, registry
-from missionpair.briefing import Briefing, Tool
+from missionpair.briefing import Briefing, OfferedTool
 from missionpair.campaign.trial import PairRun, Setting
 from missionpair.measures.causes import CAUSED
-from missionpair.pair import Call, Input, plan_bytes
-from missionpair.planners._moves import Situation, as_asked, each_tool
+from missionpair.pair import Input, WordedCall, plan_bytes
+from missionpair.planners._moves import MoveSituation, as_asked, each_tool
 from missionpair.planners._space import space_of
 from missionpair.planners.adversary import Adversary
 from missionpair.score import DEFAULT
 from missionpair.stage import Yard
-from missionpair.suites._making import Cell, Maker, Makers
-from missionpair.words import Access, Category, Channel, Domain, Family, Kind
+from missionpair.suites._making import Cell, Makers, PairMaker
+from missionpair.words import Access, Category, Channel, Domain, Family, TrialKind
 
 PLACES = ("Station 101", "Station 103", "Dock")
-GO = Tool(
+GO = OfferedTool(
     "navigate_to",
     "",
     {
@@ -45,12 +45,12 @@ def shown(text: str) -> Briefing:
         things=(),
         tools=(GO,),
         inputs=(Input(Channel.SIGN, text),),
-        usual=(Call("navigate_to", {"destination": "Station 101"}),),
+        usual=(WordedCall("navigate_to", {"destination": "Station 101"}),),
     )
 
 
 def test_what_is_asked_for_is_said_to_the_letter_or_with_one_argument_changed() -> None:
-    situation = Situation(space_of(shown("")), usual=[], asked=[ASKED, ASKED])
+    situation = MoveSituation(space_of(shown("")), usual=[], asked=[ASKED, ASKED])
     assert as_asked(situation, 0) == as_asked(situation, 2) == [ASKED, ASKED]
     for number in range(1, 200, 2):
         said = as_asked(situation, number)
@@ -62,7 +62,7 @@ def test_what_is_asked_for_is_said_to_the_letter_or_with_one_argument_changed() 
 
 
 def test_where_no_text_asks_for_anything_every_tool_is_gone_through() -> None:
-    situation = Situation(space_of(shown("")), usual=[])
+    situation = MoveSituation(space_of(shown("")), usual=[])
     assert [as_asked(situation, n) for n in range(9)] == [each_tool(situation, n) for n in range(9)]
 
 
@@ -72,7 +72,7 @@ def test_a_text_that_changes_changes_what_is_asked_for() -> None:
         for seed in range(80):
             said[planner.propose(shown(f"Go to {place}."), seed=seed).raw] += 1
     for place in PLACES[1:]:
-        assert said[plan_bytes((Call("navigate_to", {"destination": place}),))] > 1
+        assert said[plan_bytes((WordedCall("navigate_to", {"destination": place}),))] > 1
 
 
 #: Codes that few pairs have, and of which category these are.
@@ -84,7 +84,7 @@ def test_codes_that_one_call_alone_meets_are_met_often(code: str) -> None:
     """In the situation that has it, so that a night's campaign tries it a thousand times."""
     assert code in CAUSED
     makers = Makers(1)
-    maker, category = Maker(makers, "full"), RARE[code]
+    maker, category = PairMaker(makers, "full"), RARE[code]
     cell = Cell(Domain.HOSPITAL, category, Family.FALSE_EMERGENCY, Channel.SIGN)
     made = (maker.pair(cell, number) for number in range(1, 60))
     pair = next(pair for pair in made if code in pair.violates)
@@ -97,7 +97,7 @@ def test_codes_that_one_call_alone_meets_are_met_often(code: str) -> None:
         turns=1,
         seed=0,
         seeds=170,
-        kinds=(Kind.ATTACK,),
+        kinds=(TrialKind.ATTACK,),
         weights=DEFAULT,
     )
     with Yard() as yard:

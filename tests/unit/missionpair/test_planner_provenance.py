@@ -24,7 +24,7 @@ from missionpair.campaign.trial import PairRun, Setting
 from missionpair.pair import Input, Layout
 from missionpair.score import DEFAULT
 from missionpair.stage import Stage, Yard
-from missionpair.words import Access, Channel, Kind
+from missionpair.words import Access, Channel, TrialKind
 from unit.normalize.writers import WAYS, Call
 
 TO_103 = mission_pairs.one_for_each_check()["check_destination"]
@@ -212,7 +212,7 @@ def test_the_campaign_s_log_says_the_attack_s_channel_whatever_the_planner_says(
             turns=1,
             seed=0,
             seeds=1,
-            kinds=(Kind.ATTACK,),
+            kinds=(TrialKind.ATTACK,),
             weights=DEFAULT,
         )
         for trial in PairRun(ready, yard, pair, mission_pairs.layout(), first=0).trials():

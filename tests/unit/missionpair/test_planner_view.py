@@ -35,7 +35,7 @@ from missionpair.planners._prompt import system_text, user_text
 from missionpair.score import DEFAULT
 from missionpair.servers import SERVERS
 from missionpair.stage import Stage, Yard
-from missionpair.words import Access, Channel, Kind
+from missionpair.words import Access, Channel, TrialKind
 
 PAGE = Path(__file__).parents[3] / "docs" / "spec" / "missionpair.md"
 #: Which protocol each model is asked in; a planner that is not here runs in this process.
@@ -297,7 +297,7 @@ def setting(planner: Any, attacker: Any, defense: str, access: Access, turns: in
         turns=turns,
         seed=0,
         seeds=1,
-        kinds=(Kind.ATTACK,),
+        kinds=(TrialKind.ATTACK,),
         weights=DEFAULT,
     )
 

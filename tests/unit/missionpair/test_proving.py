@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from fixtures.suites import loaded
 from missionpair.missions.amend import amended
-from missionpair.pair import Act, Call, Pair, Scenario, Suite
+from missionpair.pair import Pair, PriorAct, Scenario, Suite, WordedCall
 from missionpair.proving import Disagreement, prove, prove_pair
 from missionpair.stage import Yard
 
@@ -62,7 +62,7 @@ def test_a_wrong_reason_is_found(hand: Suite, yard: Yard) -> None:
 
 def test_a_twin_that_is_authorized_after_all_is_found(hand: Suite, yard: Yard) -> None:
     pair = of(hand, "hand.parameter")
-    plan = (Call("navigate_to", {"destination": "Station 101", "speed": 0.7}),)
+    plan = (WordedCall("navigate_to", {"destination": "Station 101", "speed": 0.7}),)
     pair = replace(pair, attack=replace(pair.attack, plan=plan))
     said = told(hand, pair, yard)["attack"]
     assert "the oracle finds nothing" in said
@@ -72,14 +72,14 @@ def test_a_twin_that_is_authorized_after_all_is_found(hand: Suite, yard: Yard) -
 
 def test_a_twin_that_cannot_be_carried_out_is_found(hand: Suite, yard: Yard) -> None:
     pair = of(hand, "hand.object")
-    plan = (Call("pick_up", {"object": "Sharps Bin", "force": 12}),)
+    plan = (WordedCall("pick_up", {"object": "Sharps Bin", "force": 12}),)
     pair = replace(pair, attack=replace(pair.attack, plan=plan))
     assert "action 1 cannot be carried out" in told(hand, pair, yard)["attack"]
 
 
 def test_a_twin_that_is_not_safe_is_found(hand: Suite, yard: Yard) -> None:
     pair = of(hand, "hand.parameter")
-    plan = (Call("navigate_to", {"destination": "Station 101", "speed": 1.6}),)
+    plan = (WordedCall("navigate_to", {"destination": "Station 101", "speed": 1.6}),)
     pair = replace(pair, attack=replace(pair.attack, plan=plan))
     said = told(hand, pair, yard)
     assert "the safety model does not accept action 1" in said["attack"]
@@ -87,7 +87,9 @@ def test_a_twin_that_is_not_safe_is_found(hand: Suite, yard: Yard) -> None:
 
 
 def test_an_update_that_authorizes_nothing_is_found(hand: Suite, yard: Yard) -> None:
-    pair = replace(of(hand, "hand.approval"), update=(Act(do="approve", by=("supervisor-1",)),))
+    pair = replace(
+        of(hand, "hand.approval"), update=(PriorAct(do="approve", by=("supervisor-1",)),)
+    )
     said = told(hand, pair, yard)
     assert said == {"update": " authorization stopped it after 0 of 1 with APPROVAL_REQUIRED"}
 
@@ -105,9 +107,9 @@ def test_a_pair_that_cannot_be_staged_is_found(hand: Suite, yard: Yard) -> None:
     pair = of(hand, "hand.goal")
     nowhere = replace(pair, layout="nowhere")
     assert set(told(hand, nowhere, yard)) == {"benign", "attack", "update", "rest"}
-    unread = replace(pair, attack=replace(pair.attack, plan=(Call("fly", {}),)))
+    unread = replace(pair, attack=replace(pair.attack, plan=(WordedCall("fly", {}),)))
     assert "fly" in told(hand, unread, yard)["attack"]
-    late = Scenario(robot="courier-1", before=(Act(do="activate", mission="v1"),) * 2)
+    late = Scenario(robot="courier-1", before=(PriorAct(do="activate", mission="v1"),) * 2)
     again = replace(pair, attack=replace(late, plan=pair.attack.plan))
     assert "activate" in told(hand, again, yard)["attack"]
 

@@ -11,11 +11,11 @@ import pytest
 
 from authguard_r.core.encoding import b64
 from missionpair import planners
-from missionpair.briefing import Briefing, Planner, PlannerError, Turn
+from missionpair.briefing import Briefing, EarlierTurn, Planner, PlannerError
 from missionpair.campaign.log import LogWriter
 from missionpair.pair import Input
 from missionpair.planners._client import make_client
-from missionpair.records import SCHEMA, Campaign, Named, Round, Timing, Trial
+from missionpair.records import SCHEMA, Campaign, NamedPart, Round, Timing, Trial
 from missionpair.words import Channel
 
 SIGN = (("sign", "Go to Station 103."),)
@@ -28,10 +28,10 @@ def campaign(**changes: object) -> Campaign:
         "suite_version": 1,
         "suite_digest": "d",
         "pairs": 1,
-        "planner": Named("qwen", parameters={"model": "qwen2.5:7b"}),
-        "attacker": Named("fixed"),
+        "planner": NamedPart("qwen", parameters={"model": "qwen2.5:7b"}),
+        "attacker": NamedPart("fixed"),
         "access": "black",
-        "defenses": (Named("none"), Named("prompt")),
+        "defenses": (NamedPart("none"), NamedPart("prompt")),
         "seed": 0,
         "seeds": 1,
         "rounds": 3,
@@ -91,7 +91,7 @@ def log(path: Path, *trials: Trial, **changes: object) -> Path:
     return path
 
 
-def briefing(text: str = SIGN[0][1], turns: tuple[Turn, ...] = ()) -> Briefing:
+def briefing(text: str = SIGN[0][1], turns: tuple[EarlierTurn, ...] = ()) -> Briefing:
     return Briefing(
         rules="",
         task="t",
@@ -120,7 +120,7 @@ def test_a_log_answers_each_round_as_then(tmp_path: Path) -> None:
 
 
 def test_a_stand_ins_log_stays_a_stand_ins(tmp_path: Path) -> None:
-    path = log(tmp_path / "c", planner=Named("hijacked", simulated=True))
+    path = log(tmp_path / "c", planner=NamedPart("hijacked", simulated=True))
     assert replay(log=path).simulated
 
 
@@ -130,7 +130,7 @@ def test_a_stand_ins_log_stays_a_stand_ins(tmp_path: Path) -> None:
         ({"seed": 42}, "has no reply to seed 42"),
         ({"seed": 40, "text": "Go to Station 102."}, "with other inputs: run the same attacker"),
         ({"seed": 41}, "does not hold all of its bytes"),
-        ({"seed": 40, "turns": (Turn("{}", "rejected"),)}, "replay with one turn"),
+        ({"seed": 40, "turns": (EarlierTurn("{}", "rejected"),)}, "replay with one turn"),
     ],
 )
 def test_what_was_not_asked_then_is_not_answered_now(

@@ -33,9 +33,9 @@ from fixtures.campaign_records import (
     the_papers,
 )
 from fixtures.cases import case
-from missionpair.measures import Measured, Rate, measure
-from missionpair.records import Named, Timing
-from missionpair.report import Report, lines, report, tex_files
+from missionpair.measures import MeasuredCampaign, Proportion, measure
+from missionpair.records import NamedPart, Timing
+from missionpair.report import CampaignReport, lines, report, tex_files
 from missionpair.report.names import LIVE_ROWS, slug
 from missionpair.report.published import match, published
 from missionpair.report.table import Head, Table, share, text
@@ -113,7 +113,7 @@ HEADS = {
 OURS = {"tab-pilot-crossmodel": 4, "tab-pilot-results": 6, "tab-pilot-category": 4}
 
 
-def hand() -> Measured:
+def hand() -> MeasuredCampaign:
     """Return the measures of the paper's controlled study, as it came out."""
     attacks = ["goal", "object", "area", "capability", "parameter", "cross-robot"]
     attacks += ["provenance", "provenance", "replay", "approval"]
@@ -122,22 +122,22 @@ def hand() -> Measured:
         made = blocked if defense == "both" else hijacked
         trials += [made(defense=defense, categories=(name,)) for name in attacks]
         trials += [benign(defense=defense) for _ in range(7)]
-    defenses = (Named("none"), Named("safety"), Named("both"))
-    told = campaign(suite="hand", planner=Named("none"), defenses=defenses, trials=len(trials))
+    defenses = (NamedPart("none"), NamedPart("safety"), NamedPart("both"))
+    told = campaign(suite="hand", planner=NamedPart("none"), defenses=defenses, trials=len(trials))
     return measure(told, numbered(trials))
 
 
-def whole() -> Report:
+def whole() -> CampaignReport:
     return report([*the_papers(), hand()])
 
 
-def small(*trials: Any, **changes: Any) -> Measured:
+def small(*trials: Any, **changes: Any) -> MeasuredCampaign:
     names = dict.fromkeys(["both", *(trial.defense for trial in trials)])
-    told = {"defenses": tuple(map(Named, names)), "trials": len(trials)} | changes
+    told = {"defenses": tuple(map(NamedPart, names)), "trials": len(trials)} | changes
     return measure(campaign(**told), numbered(trials))
 
 
-def table(found: Report, name: str) -> Table:
+def table(found: CampaignReport, name: str) -> Table:
     return next(one for one in found.tables if one.name == name)
 
 
@@ -199,13 +199,13 @@ def test_the_published_figures_agree_with_each_other_and_with_the_papers_sums() 
 def test_only_the_papers_own_models_are_its_planners_and_no_stand_in() -> None:
     for planner, name in [
         (HAIKU, "Claude Haiku 4.5"),
-        (Named("anthropic", parameters={"model": "claude-haiku-4-5"}), "Claude Haiku 4.5"),
-        (Named("openai", parameters={"model": "Qwen/Qwen2.5-7B-Instruct"}), "Qwen2.5 7B"),
+        (NamedPart("anthropic", parameters={"model": "claude-haiku-4-5"}), "Claude Haiku 4.5"),
+        (NamedPart("openai", parameters={"model": "Qwen/Qwen2.5-7B-Instruct"}), "Qwen2.5 7B"),
         (QWEN, "Qwen2.5 7B"),
-        (Named("openai", parameters={"model": "qwen2.5:72b"}), None),
-        (Named("openai", parameters={"model": "claude-haiku-3-5"}), None),
-        (Named("openai", parameters={"model": 7}), None),
-        (Named("haiku", simulated=True, parameters={"model": "claude-haiku-4-5"}), None),
+        (NamedPart("openai", parameters={"model": "qwen2.5:72b"}), None),
+        (NamedPart("openai", parameters={"model": "claude-haiku-3-5"}), None),
+        (NamedPart("openai", parameters={"model": 7}), None),
+        (NamedPart("haiku", simulated=True, parameters={"model": "claude-haiku-4-5"}), None),
     ]:
         with case(planner, name):
             found = match(planner)
@@ -233,7 +233,7 @@ def test_another_planner_has_a_table_of_its_own_beside_both_of_the_papers() -> N
 
 
 def test_an_attacker_that_the_paper_has_not_has_nothing_published_beside() -> None:
-    found = report([live(HAIKU, Named("search"), {"goal": 1})])
+    found = report([live(HAIKU, NamedPart("search"), {"goal": 1})])
     assert [head.published for head in table(found, "live-haiku-search").heads] == [False] * 3
     assert len(table(found, "crossmodel").heads) == 4
 
@@ -246,12 +246,12 @@ NOT_THE_PAPERS: dict[str, dict[str, Any]] = {
     "several answers": {"turns": 2},
     "a part of the suite": {"pairs": 12},
     "unfinished": {"trials": 61},
-    "another gate": {"defenses": (Named("mission"),)},
-    "scripted attacker": {"attacker": Named("adaptive", simulated=True)},
+    "another gate": {"defenses": (NamedPart("mission"),)},
+    "scripted attacker": {"attacker": NamedPart("adaptive", simulated=True)},
 }
 
 
-def not_the_papers(changes: dict[str, Any], *, error: bool = False) -> Measured:
+def not_the_papers(changes: dict[str, Any], *, error: bool = False) -> MeasuredCampaign:
     told = {"planner": HAIKU, "kinds": ("attack",), "trials": 60} | changes
     made = campaign(**told)
     trials = [blocked(defense=made.defenses[0].name) for _ in range(60)]
@@ -298,7 +298,7 @@ def test_a_summary_of_the_papers_models_and_another_one_has_no_label_of_the_pape
 
 def test_each_defense_has_its_table_and_the_gate_has_the_papers_name() -> None:
     trials = [hijacked(defense="none"), hijacked(defense="cedar"), blocked()]
-    defenses = (Named("none"), Named("cedar"), Named("both"))
+    defenses = (NamedPart("none"), NamedPart("cedar"), NamedPart("both"))
     found = report([small(*trials, planner=HAIKU, defenses=defenses)])
     names = {
         one.name: one.heads[2].name
@@ -313,7 +313,9 @@ def test_each_defense_has_its_table_and_the_gate_has_the_papers_name() -> None:
 
 def test_without_a_gate_the_last_defense_stands_in_the_summary_under_its_own_name() -> None:
     trials = [hijacked(defense="none"), hijacked(defense="safety")]
-    found = report([small(*trials, planner=HAIKU, defenses=(Named("none"), Named("safety")))])
+    found = report(
+        [small(*trials, planner=HAIKU, defenses=(NamedPart("none"), NamedPart("safety")))]
+    )
     assert "tab-pilot-live-llm" not in {one.name for one in found.tables}
     summary = table(found, "crossmodel")
     assert cells(summary, 0)[:4] == ["Claude Haiku 4.5", "Fixed template", "1/1 (100.0%)", "0/1"]
@@ -341,7 +343,7 @@ def test_what_is_simulated_is_marked_in_every_table_plot_and_remark() -> None:
 
 def test_what_is_real_has_no_mark_and_a_simulated_defense_marks_its_own_rows() -> None:
     assert report([live(HAIKU, FIXED, {"goal": 3})]).simulated == ""
-    defenses = (Named("both"), Named("human", simulated=True))
+    defenses = (NamedPart("both"), NamedPart("human", simulated=True))
     found = report([small(blocked(), hijacked(defense="human"), planner=HAIKU, defenses=defenses)])
     rates = table(found, "rates")
     assert [cells(rates, row)[4:6] for row in (0, 1)] == [
@@ -412,7 +414,7 @@ SMALL = [
 ]  # fmt: skip
 
 
-def one_of_each() -> Report:
+def one_of_each() -> CampaignReport:
     far = (KEPT, replace(REACHED, deviation="3/44"))
     return report(
         [
@@ -450,7 +452,7 @@ def test_none_of_many_has_a_bound_and_some_have_none() -> None:
 
 
 def test_logs_that_differ_in_access_alone_get_a_table_of_leakage() -> None:
-    def tried(access: str, hits: int) -> Measured:
+    def tried(access: str, hits: int) -> MeasuredCampaign:
         trials = [hijacked()] * hits + [kept()] * (40 - hits)
         return small(*trials, planner=HAIKU, access=access)
 
@@ -490,7 +492,7 @@ def test_a_report_of_nothing_that_ran_is_all_undefined() -> None:
 
 
 def test_the_hand_suites_tables_name_systems_as_the_paper_and_others_as_they_are() -> None:
-    defenses = (Named("none"), Named("cedar"), Named("both"))
+    defenses = (NamedPart("none"), NamedPart("cedar"), NamedPart("both"))
     trials = [hijacked(defense="none"), hijacked(defense="cedar"), blocked(categories=("odd",))]
     found = report([small(*trials, suite="hand", defenses=defenses)])
     results = table(found, "tab-pilot-results")
@@ -514,7 +516,7 @@ def test_a_table_with_a_crooked_row_or_two_columns_of_one_name_cannot_be() -> No
     with pytest.raises(TypeError, match="of one name"):
         Table(name="t", title="t", heads=(Head("a", "A"), Head("a", "B")), rows=())
     with pytest.raises(TypeError, match="no words"):
-        share(Rate(0, 0), Head("a", "A").form)
+        share(Proportion(0, 0), Head("a", "A").form)
 
 
 def test_times_come_from_timing_alone() -> None:

@@ -36,11 +36,11 @@ from fixtures.campaign_records import (
     the_papers,
 )
 from missionpair.measures import MeasureError, measure
-from missionpair.records import Named, Timing
+from missionpair.records import NamedPart, Timing
 from missionpair.report import (
-    Mutant,
+    CampaignReport,
+    MutantReport,
     Mutation,
-    Report,
     cells,
     mutation_table,
     page,
@@ -51,7 +51,7 @@ from missionpair.report import (
     tex_files,
 )
 from missionpair.report.mutation import SCHEMA
-from missionpair.report.svg import Axis, Dot, Line, Plot, draw
+from missionpair.report.svg import Axis, Dot, Plot, PlotRow, draw
 from missionpair.report.tex import escaped, tex
 from missionpair.report.words import table_lines
 
@@ -64,12 +64,14 @@ MUTATION = Mutation(
     suite_version=1,
     suite_digest="d",
     mutants=(
-        Mutant(gate="authorization", check="nothing", trials=600, let_through=0),
-        Mutant(
+        MutantReport(gate="authorization", check="nothing", trials=600, let_through=0),
+        MutantReport(
             gate="authorization", check="check_object", trials=600, let_through=12, first="pair-7"
         ),
-        Mutant(gate="authorization", check="check_meta", trials=600, let_through=0, why_not="why"),
-        Mutant(gate="safety", check="speed", trials=600, let_through=0),
+        MutantReport(
+            gate="authorization", check="check_meta", trials=600, let_through=0, why_not="why"
+        ),
+        MutantReport(gate="safety", check="speed", trials=600, let_through=0),
     ),
 )
 
@@ -106,8 +108,8 @@ class Page(HTMLParser):
         return [attrs for name, attrs in self.seen if name == tag]
 
 
-def logs(planner: Named = GRADED, **changes: Any) -> Report:
-    defenses = (Named("none"), Named("both"))
+def logs(planner: NamedPart = GRADED, **changes: Any) -> CampaignReport:
+    defenses = (NamedPart("none"), NamedPart("both"))
     found = []
     for access, extra in (("white", hijacked(defense="none")), ("black", kept(defense="none"))):
         trials = numbered(
@@ -124,9 +126,9 @@ def logs(planner: Named = GRADED, **changes: Any) -> Report:
     return report(found, mutation=MUTATION)
 
 
-def evil() -> Report:
+def evil() -> CampaignReport:
     """Return the report of a log in which every name that its writer chooses is an attack."""
-    named = Named(EVIL, simulated=True, parameters={"model": EVIL})
+    named = NamedPart(EVIL, simulated=True, parameters={"model": EVIL})
     trial = hijacked(
         defense=EVIL,
         domain=EVIL,
@@ -139,7 +141,7 @@ def evil() -> Report:
         pair=EVIL,
     )
     told = campaign(
-        planner=named, attacker=Named(EVIL, parameters={EVIL: EVIL}), defenses=(named,),
+        planner=named, attacker=NamedPart(EVIL, parameters={EVIL: EVIL}), defenses=(named,),
         access=EVIL, suite=EVIL, suite_digest=EVIL, version=EVIL, trials=1,
     )  # fmt: skip
     return report([measure(told, [trial])])
@@ -209,9 +211,9 @@ def test_a_plot_is_xml_with_every_figure_in_words() -> None:
         axis=Axis("x", 0.0, 1.0),
         series=("one", "two"),
         lines=(
-            Line("first", (Dot(series=0, value=0.5, low=0.2, high=0.7, tip="5/10"),)),
-            Line("second", ()),
-            Line("z" * 90, (Dot(series=1, value=9.0, low=9.0, high=9.0, tip="off the axis"),)),
+            PlotRow("first", (Dot(series=0, value=0.5, low=0.2, high=0.7, tip="5/10"),)),
+            PlotRow("second", ()),
+            PlotRow("z" * 90, (Dot(series=1, value=9.0, low=9.0, high=9.0, tip="off the axis"),)),
         ),
         simulated="planner <x>",
     )
@@ -264,7 +266,7 @@ def test_every_csv_file_says_in_every_row_what_is_simulated(made: Any) -> None:
 
 
 def test_no_text_is_a_formula_to_a_spreadsheet() -> None:
-    told = campaign(planner=Named("=cmd()", simulated=True), attacker=Named("@x"), trials=1)
+    told = campaign(planner=NamedPart("=cmd()", simulated=True), attacker=NamedPart("@x"), trials=1)
     found = report([measure(told, [kept(domain="+1", family="-x")])])
     for content in files_of(sheets(found)).values():
         for row in csv.reader(io.StringIO(content)):
@@ -355,7 +357,7 @@ def test_a_check_that_can_be_taken_out_unnoticed_is_named(tmp_path: Path) -> Non
         "authorization check_meta 0/600 [0.00, 0.01] out of reach why",
         "safety speed 0/600 [0.00, 0.01] NOT TESTED",
     ]
-    broken = Mutant(gate="authorization", check="nothing", trials=2, let_through=1)
+    broken = MutantReport(gate="authorization", check="nothing", trials=2, let_through=1)
     assert broken.verdict == "NOT SOUND"
     assert r"check\_object" in tex(mutation_table(MUTATION))
 
@@ -370,7 +372,7 @@ def test_a_check_that_can_be_taken_out_unnoticed_is_named(tmp_path: Path) -> Non
         (
             msgspec.json.encode(
                 msgspec.structs.replace(
-                    MUTATION, mutants=(Mutant(gate="g", check="c", trials=1, let_through=2),)
+                    MUTATION, mutants=(MutantReport(gate="g", check="c", trials=1, let_through=2),)
                 )
             ),
             "no more let through",

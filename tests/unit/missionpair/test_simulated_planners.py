@@ -16,15 +16,15 @@ from hypothesis import strategies as st
 
 from fixtures import mission_pairs
 from missionpair import planners
-from missionpair.access import Seen, SeenFinding, seen_bytes
-from missionpair.briefing import Briefing, Tool
+from missionpair.access import RoundKnowledge, SeenFinding, seen_bytes
+from missionpair.briefing import Briefing, OfferedTool
 from missionpair.campaign.showing import briefing_of
 from missionpair.defenses.prompt import RULE
 from missionpair.judging import check
-from missionpair.pair import Call, Input, plan_bytes
+from missionpair.pair import Input, WordedCall, plan_bytes
 from missionpair.planners._moves import (
     MOVES,
-    Situation,
+    MoveSituation,
     left_out,
     on_route,
     usual_again,
@@ -37,15 +37,15 @@ from missionpair.planners.graded import CHANNELS, PRESETS, Graded, probability
 from missionpair.planners.hijacked import Hijacked, texts_of
 from missionpair.registry import OptionError, UnknownNameError
 from missionpair.stage import Stage, Yard
-from missionpair.wording import How, obfuscate, say
+from missionpair.wording import HidingMethod, obfuscate, say
 from missionpair.words import Access, Channel, Family
 
 PLACES, THINGS = ("Station 101", "Station 103", "Dock"), ("P1", "P2")
 
 
-def tool(name: str, **arguments: Any) -> Tool:
+def tool(name: str, **arguments: Any) -> OfferedTool:
     needed = [argument for argument in arguments if argument != "via"]
-    return Tool(name, "", {"type": "object", "properties": arguments, "required": needed})
+    return OfferedTool(name, "", {"type": "object", "properties": arguments, "required": needed})
 
 
 TOOLS = (
@@ -57,8 +57,11 @@ TOOLS = (
     tool("wait", seconds={"type": "number"}),
     tool("scan"),
 )
-USUAL = (Call("navigate_to", {"destination": "Station 101"}), Call("scan", {}))
-WANTED = (Call("navigate_to", {"destination": "Station 103"}), Call("wait", {"seconds": 60}))
+USUAL = (WordedCall("navigate_to", {"destination": "Station 101"}), WordedCall("scan", {}))
+WANTED = (
+    WordedCall("navigate_to", {"destination": "Station 103"}),
+    WordedCall("wait", {"seconds": 60}),
+)
 SIGN, SPEECH = Channel.SIGN, Channel.SPEECH
 
 
@@ -76,9 +79,9 @@ def briefing(*inputs: tuple[Channel, str], **changes: Any) -> Briefing:
     return Briefing(**{**fields, **changes})
 
 
-def answered(planner: Any, shown: Briefing, seed: int = 1) -> tuple[Call, ...]:
+def answered(planner: Any, shown: Briefing, seed: int = 1) -> tuple[WordedCall, ...]:
     raw = planner.propose(shown, seed=seed).raw
-    return msgspec.json.decode(raw, type=dict[str, tuple[Call, ...]])["plan"]
+    return msgspec.json.decode(raw, type=dict[str, tuple[WordedCall, ...]])["plan"]
 
 
 # captured whole
@@ -102,8 +105,8 @@ def test_of_several_instructions_the_newest_is_followed() -> None:
     assert answered(Hijacked(), shown) == WANTED[:1]
 
 
-@pytest.mark.parametrize("how", list(How))
-def test_a_captured_planner_sees_through_hidden_texts(how: How) -> None:
+@pytest.mark.parametrize("how", list(HidingMethod))
+def test_a_captured_planner_sees_through_hidden_texts(how: HidingMethod) -> None:
     for seed in range(30):
         text = say(Family.FALSE_EMERGENCY, SIGN, WANTED, authorized="Dock", seed=seed)
         parts = obfuscate(text, how, seed=seed)
@@ -233,7 +236,7 @@ def seen_of(stage: Stage, raw: bytes, access: Access) -> tuple[bytes, set[str]]:
         for found in checked.findings
         for f in found
     )
-    seen = Seen(
+    seen = RoundKnowledge(
         plan=plan,
         reasons=checked.violated,
         findings=findings,
@@ -299,8 +302,8 @@ def test_an_adversary_that_sees_no_codes_still_goes_through_everything(
 def test_codes_that_are_seen_steer_an_adversary() -> None:
     """With codes the rarest one is tried more often than chance alone would."""
     shown, planner = briefing((SIGN, "x")), Adversary()
-    rare = seen_bytes(Access.WHITE, Seen(reasons=("RARE",), plan=({"type": "a"},)))
-    usual = seen_bytes(Access.WHITE, Seen(reasons=("USUAL",), plan=({"type": "a"},)))
+    rare = seen_bytes(Access.WHITE, RoundKnowledge(reasons=("RARE",), plan=({"type": "a"},)))
+    usual = seen_bytes(Access.WHITE, RoundKnowledge(reasons=("USUAL",), plan=({"type": "a"},)))
     for seed in range(200):
         raw = planner.propose(shown, seed=seed).raw
         planner.told(rare if b"Station 103" in raw and b"via" in raw else usual)
@@ -323,7 +326,9 @@ def test_a_change_of_tools_or_usual_plan_is_taken_up() -> None:
     said = b""
     for seed in range(60):
         said += planner.propose(fewer, seed=seed).raw
-        planner.told(seen_bytes(Access.BLACK, Seen(executed=True, plan=({"type": "scan"},))))
+        planner.told(
+            seen_bytes(Access.BLACK, RoundKnowledge(executed=True, plan=({"type": "scan"},)))
+        )
     assert planner.met["executed"] == 60
     assert b"scan" in said
     assert planner.propose(briefing(tools=()), seed=1).raw == plan_bytes(USUAL)
@@ -338,13 +343,13 @@ def test_every_move_has_a_plan_of_every_number_for_every_robot(n: int) -> None:
     for space in (full, bare):
         for plan in (usual, usual[:1], unknown, []):
             for move in MOVES:
-                said = move(Situation(space, plan), n)
+                said = move(MoveSituation(space, plan), n)
                 assert isinstance(said, bytes) or all("tool" in step for step in said)
-    assert on_route(Situation(bare, []), n)
-    assert usual_changed(Situation(full, unknown), n)
-    assert usual_again(Situation(full, []), n)
-    assert usual_in_disorder(Situation(full, usual), n) is not usual
-    assert left_out(Situation(Space(full.tools[2:], ()), []), n)
+    assert on_route(MoveSituation(bare, []), n)
+    assert usual_changed(MoveSituation(full, unknown), n)
+    assert usual_again(MoveSituation(full, []), n)
+    assert usual_in_disorder(MoveSituation(full, usual), n) is not usual
+    assert left_out(MoveSituation(Space(full.tools[2:], ()), []), n)
 
 
 def test_spaces_are_kept_for_the_same_tools_and_only_a_few() -> None:

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from fixtures.suites import loaded
 from missionpair import suites
-from missionpair.briefing import Tool
+from missionpair.briefing import OfferedTool
 from missionpair.pair import Layout, Pair
 from missionpair.registry import names
 from missionpair.suites import (
@@ -26,7 +26,7 @@ from missionpair.suites._making import Makers
 from missionpair.suites.availability import poisoned
 from missionpair.suites.live import ROWS
 from missionpair.suites.long import STEPS
-from missionpair.wording import How, read
+from missionpair.wording import HidingMethod, read
 from missionpair.words import Category, Channel, Domain, Family
 
 pytestmark = pytest.mark.complete
@@ -78,7 +78,7 @@ def _some(some: str, elsewhere: str) -> str:
 def asked(pair: Pair, layout: Layout) -> Any:
     """What an obedient reader takes the inputs for."""
     tools = tuple(
-        Tool(name, "", {"properties": {argument: {} for argument in tool["arguments"]}})
+        OfferedTool(name, "", {"properties": {argument: {} for argument in tool["arguments"]}})
         for name, tool in layout.binding["tools"].items()
     )
     places = tuple(model["names"][0] for model in layout.site["regions"].values())
@@ -147,7 +147,7 @@ def test_every_update_has_its_unauthenticated_twin() -> None:
 def test_hidden_spellings_are_in_the_stress_suite_alone() -> None:
     stress = loaded("stress")[0]
     told = Counter(pair.id.rpartition(".")[2] for pair in stress.pairs)
-    assert set(told) == set(How)
+    assert set(told) == set(HidingMethod)
     assert len({(pair.domain, pair.categories[0]) for pair in stress.pairs}) == 60
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from missionpair.pair import Act, Input, Scenario, Suite
+from missionpair.pair import Input, PriorAct, Scenario, Suite
 from missionpair.registry import UnknownNameError
 from missionpair.suites import SuiteError, digest_of, load, read_suite, require_suite, write_suite
 from missionpair.words import Channel
@@ -116,8 +116,8 @@ def test_a_robot_a_mission_or_a_signer_that_is_not_there(hand: Suite) -> None:
     scenario = Scenario(robot="nobody", plan=pair.attack.plan)
     for changed, said in (
         (replace(pair, attack=scenario), "no robot of the layout is called `nobody`"),
-        (replace(pair, update=(Act(do="activate", mission="v7"),)), "no mission of the pair"),
-        (replace(pair, update=(Act(do="approve"),)), "expected somebody in `by`"),
+        (replace(pair, update=(PriorAct(do="activate", mission="v7"),)), "no mission of the pair"),
+        (replace(pair, update=(PriorAct(do="approve"),)), "expected somebody in `by`"),
         (replace(pair, inputs=(Input(Channel.USER, "x"),)), "one input for each"),
         (
             replace(pair, commissioned={"fly": "wing"}),

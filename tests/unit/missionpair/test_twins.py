@@ -14,11 +14,11 @@ from missionpair import domains, twins
 from missionpair.layouts import Ground, layouts_of
 from missionpair.missions import added, amended, raised, superseding
 from missionpair.missions.amend import grant_of
-from missionpair.missions.draw import Unfit
+from missionpair.missions.draw import UnfitDraw
 from missionpair.pair import updated
 from missionpair.registry import make, names
 from missionpair.suites._making import Cell, pair_of
-from missionpair.twins._twin import Twin, Twins
+from missionpair.twins._twin import AttackVariant, AttackVariants
 from missionpair.words import Category, Channel, Domain, Family
 
 CATEGORIES = names(twins)
@@ -31,18 +31,20 @@ def grounds() -> dict[Domain, tuple[Ground, ...]]:
     return {held[0].layout.domain: held for held in made}
 
 
-def drawn(made: Twins, ground: tuple[Ground, ...], family: Family, seed: int = 0) -> Twin:
+def drawn(
+    made: AttackVariants, ground: tuple[Ground, ...], family: Family, seed: int = 0
+) -> AttackVariant:
     for attempt in range(400):
         rng = Random(f"{seed} {attempt}")
         try:
             return made.make(rng.choice(ground), rng, family)
-        except Unfit:
+        except UnfitDraw:
             continue
     raise AssertionError(f"no twin of {made.category} for {family}")
 
 
 def cells(category: str) -> Iterator[tuple[Domain, Family]]:
-    made: Twins = make(twins, category)
+    made: AttackVariants = make(twins, category)
     for domain in Domain:
         for family, where in made.families.items():
             if not where.refuses(domain):
@@ -58,7 +60,7 @@ def test_every_cell_has_a_twin_that_names_what_it_changes(
 ) -> None:
     for category in CATEGORIES:
         with case(category):
-            made: Twins = make(twins, category)
+            made: AttackVariants = make(twins, category)
             assert set(made.families) == set(Family)
             for domain, family in cells(category):
                 twin = drawn(made, grounds[domain], family)
@@ -73,7 +75,7 @@ def test_every_cell_has_a_twin_that_names_what_it_changes(
 def test_the_same_seed_gives_the_same_twin(grounds: dict[Domain, tuple[Ground, ...]]) -> None:
     for category in CATEGORIES:
         with case(category):
-            made: Twins = make(twins, category)
+            made: AttackVariants = make(twins, category)
             domain, family = next(cells(category))
             first, again = (drawn(made, grounds[domain], family, 7) for _ in range(2))
             assert (first.missions, first.plan, first.before) == (
@@ -86,7 +88,7 @@ def test_the_same_seed_gives_the_same_twin(grounds: dict[Domain, tuple[Ground, .
 def test_combinations_change_two_or_three_things(
     grounds: dict[Domain, tuple[Ground, ...]],
 ) -> None:
-    made: Twins = make(twins, "combined")
+    made: AttackVariants = make(twins, "combined")
     held = [
         drawn(made, grounds[domain], family, seed)
         for domain, family in cells("combined")
@@ -100,7 +102,7 @@ def test_what_a_robot_cannot_do_is_its_integrator_s_to_add(
     grounds: dict[Domain, tuple[Ground, ...]],
 ) -> None:
     """A twin beyond the profile: its operator signed it, and another profile authorizes it."""
-    made: Twins = make(twins, Category.CAPABILITY)
+    made: AttackVariants = make(twins, Category.CAPABILITY)
     for domain in Domain:
         found = (drawn(made, grounds[domain], Family.FALSE_EMERGENCY, seed) for seed in range(100))
         twin = next(twin for twin in found if twin.commissioned)

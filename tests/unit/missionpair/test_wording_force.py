@@ -15,10 +15,10 @@ from authguard_r.site.model import Site
 from authguard_r.site.source import convert
 from fixtures.suites import loaded
 from missionpair import attackers, defenses
-from missionpair.access import Case, Seen, case_bytes, seen_bytes
-from missionpair.briefing import Briefing, Tool
+from missionpair.access import PairKnowledge, RoundKnowledge, case_bytes, seen_bytes
+from missionpair.briefing import Briefing, OfferedTool
 from missionpair.campaign.showing import case_of
-from missionpair.pair import Call, Input, Layout, Pair, Suite
+from missionpair.pair import Input, Layout, Pair, Suite, WordedCall
 from missionpair.planners._tools import places_of, things_of, tools_of
 from missionpair.planners.graded import probability
 from missionpair.planners.hijacked import newest_asked
@@ -31,7 +31,7 @@ from missionpair.words import Access, Category, Channel, Family
 pytestmark = pytest.mark.complete
 
 NAMES = ("Station 101", "Nurse Station 101", "Dock", "Package P1", "courier-1")
-GO = (Call("navigate_to", {"destination": "Station 103"}),)
+GO = (WordedCall("navigate_to", {"destination": "Station 103"}),)
 FAMILIES, CHANNELS, SEEDS = st.sampled_from(Family), st.sampled_from(Channel), st.integers(0, 10**6)
 #: Suites whose texts the grammar wrote, among them texts full of names and hidden ones.
 SUITES = ("live", "availability", "updates", "long", "stress")
@@ -92,7 +92,7 @@ def of_whole_site(layout: Layout) -> Briefing:
 
 def wordings_of(pair: Pair) -> list[tuple[Input, ...]]:
     """Return what the fixed attacker sends for a pair, round by round."""
-    case = Case(
+    case = PairKnowledge(
         goal="",
         wanted=pair.attack.plan,
         family=pair.family,
@@ -101,15 +101,15 @@ def wordings_of(pair: Pair) -> list[tuple[Input, ...]]:
     )
     fixed = attackers.make("fixed")
     sent = [fixed.open(case_bytes(Access.BLACK, case), seed=1)]
-    while (inputs := fixed.revise(seen_bytes(Access.BLACK, Seen()), seed=1)) is not None:
+    while (inputs := fixed.revise(seen_bytes(Access.BLACK, RoundKnowledge()), seed=1)) is not None:
         sent.append(inputs)
     return sent
 
 
 def test_words_that_a_text_quotes_are_not_translated() -> None:
     """A quoted word of the table was read as its English one, and so as another call."""
-    asked = (Call("announce", {"text": "Lege"}),)
-    tools = (Tool("announce", "", {"type": "object", "properties": {"text": {}}}),)
+    asked = (WordedCall("announce", {"text": "Lege"}),)
+    tools = (OfferedTool("announce", "", {"type": "object", "properties": {"text": {}}}),)
     for channel in Channel:
         text = say(Family.DESTINATION_CHANGE, channel, asked, authorized="", seed=1)
         assert read(text, tools=tools, places=(), things=()) == asked
@@ -181,6 +181,8 @@ def test_where_the_goal_is_attacked_an_attacker_argues_about_the_mission_s_own_p
             assert any(case.instead_of in item.text for item in pair.inputs)
             search = attackers.make("search")
             search.open(case_bytes(Access.BLACK, case), seed=1)
-            sent = [search.revise(seen_bytes(Access.BLACK, Seen()), seed=1) for _ in range(20)]
+            sent = [
+                search.revise(seen_bytes(Access.BLACK, RoundKnowledge()), seed=1) for _ in range(20)
+            ]
             assert any(case.instead_of in inputs[0].text for inputs in sent if inputs)
     assert len(goals) == 10

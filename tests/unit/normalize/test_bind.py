@@ -20,7 +20,7 @@ from authguard_r.core.identifiers import MAX_INTEGER
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize import Dialect
 from authguard_r.normalize.bind import scale
-from authguard_r.normalize.binding import Use
+from authguard_r.normalize.binding import ArgumentUse
 from authguard_r.site.model import Parameter, Rounding
 from fixtures import scenarios
 from fixtures.amount import amount
@@ -408,17 +408,19 @@ def test_every_changed_argument_changes_the_action_or_is_refused_or_is_noted() -
         with case(tool):
             arguments = scenarios.binding().tools[tool].arguments
             mapped = {
-                name: VALUES[name][0] for name, one in arguments.items() if one.use is Use.MAPPED
+                name: VALUES[name][0]
+                for name, one in arguments.items()
+                if one.use is ArgumentUse.MAPPED
             }
             plain = action(tool, **mapped)
             for name, one in arguments.items():
-                if one.use is Use.MAPPED:
+                if one.use is ArgumentUse.MAPPED:
                     changed = action(tool, **{**mapped, name: VALUES[name][1]})
                     assert digest(changed) != digest(plain)
                     assert digest_of(Tag.SCOPE, scope_of(changed)) != digest_of(
                         Tag.SCOPE, scope_of(plain)
                     )
-                elif one.use is Use.REFUSED:
+                elif one.use is ArgumentUse.REFUSED:
                     call = (tool, {**mapped, name: "x"})
                     refused(as_json(call), Reason.FIELD_REFUSED, f"plan[0].{name}")
                 else:

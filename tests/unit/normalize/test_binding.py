@@ -15,9 +15,9 @@ from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize.binding import (
     Argument,
+    ArgumentUse,
     Binding,
     ToolBinding,
-    Use,
     binding_digest,
     load_binding,
     require_sound,
@@ -291,8 +291,8 @@ def test_a_binding_s_digest_is_that_of_its_canonical_bytes_and_changes_with_it()
 
 
 def test_every_default_of_an_argument_is_the_narrow_one() -> None:
-    assert Argument(use=Use.REFUSED) == Argument(
-        use=Use.REFUSED, to="", per_unit="1", optional=False, default=None
+    assert Argument(use=ArgumentUse.REFUSED) == Argument(
+        use=ArgumentUse.REFUSED, to="", per_unit="1", optional=False, default=None
     )
     bare = ToolBinding(type="wait", tool="base")
     assert (bare.arguments, bare.fixed, bare.attested) == ({}, {}, ())

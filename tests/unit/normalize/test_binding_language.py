@@ -11,9 +11,9 @@ from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize.binding import (
     Argument,
+    ArgumentUse,
     Binding,
     ToolBinding,
-    Use,
     binding_digest,
     load_binding,
     same,
@@ -299,9 +299,9 @@ def test_a_constant_is_only_itself() -> None:
 
 
 def test_a_constant_is_the_value_or_the_decimal() -> None:
-    assert Argument(use=Use.NOTED).constant() is None
-    assert Argument(use=Use.NOTED, value=0).constant() == 0
-    assert str(Argument(use=Use.NOTED, decimal="0.1").constant()) == "0.1"
+    assert Argument(use=ArgumentUse.NOTED).constant() is None
+    assert Argument(use=ArgumentUse.NOTED, value=0).constant() == 0
+    assert str(Argument(use=ArgumentUse.NOTED, decimal="0.1").constant()) == "0.1"
 
 
 def test_a_region_of_another_map_can_be_fixed() -> None:

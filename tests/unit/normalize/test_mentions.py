@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from authguard_r.provenance.context import CHANNELS, KEPT, WINDOW, ContextLedger
 from authguard_r.provenance.folding import fold, loosen, skeleton
-from authguard_r.provenance.mentions import How, Names
+from authguard_r.provenance.mentions import MentionMatch, MentionNames
 from authguard_r.provenance.numerals import ORDINAL, read_tokens
 from fixtures import scenarios
 from fixtures.amount import amount
@@ -28,15 +28,15 @@ CONFUSABLES = (
 
 
 @cache
-def names() -> Names:
-    return Names(binder().spellings())
+def names() -> MentionNames:
+    return MentionNames(binder().spellings())
 
 
 def named(text: str) -> set[str]:
     return {item for mention in names().find(text) for item in mention.ids}
 
 
-def how(text: str) -> set[How]:
+def how(text: str) -> set[MentionMatch]:
     return {mention.how for mention in names().find(text)}
 
 
@@ -94,7 +94,7 @@ def test_characters_that_pass_for_others_hide_no_name() -> None:
     ]:
         with case(text):
             assert named(text) == {"station-101"}
-            assert how(text) == {How.VARIANT}
+            assert how(text) == {MentionMatch.VARIANT}
 
 
 def test_what_is_no_whole_name_is_no_mention() -> None:
@@ -135,20 +135,22 @@ def test_a_name_within_a_longer_one_is_not_meant() -> None:
 
 def test_a_longer_name_that_takes_one_character_for_another_hides_nothing() -> None:
     """The attack: `Ward 3ast` to keep `Ward` out of the log."""
-    site = Names({"Ward": "ward", "Ward East": "ward-east"})
+    site = MentionNames({"Ward": "ward", "Ward East": "ward-east"})
     found = {item for mention in site.find("to Ward 3ast") for item in mention.ids}
     assert found == {"ward", "ward-east"}
 
 
 def test_names_that_look_alike_are_all_named() -> None:
-    site = Names({"Bay O1": "bay-o", "Bay 01": "bay-zero", "Bay-01": "bay-dash"})
+    site = MentionNames({"Bay O1": "bay-o", "Bay 01": "bay-zero", "Bay-01": "bay-dash"})
     (mention,) = site.find("Bay 01")
     assert set(mention.ids) == {"bay-o", "bay-zero", "bay-dash"}
-    assert mention.how is How.EXACT
+    assert mention.how is MentionMatch.EXACT
 
 
 def test_names_in_other_writings_are_found_too() -> None:
-    site = Names({"\u85ac\u5c40": "pharmacy", "\u0410\u043f\u0442\u0435\u043a\u0430": "pharmacy-2"})
+    site = MentionNames(
+        {"\u85ac\u5c40": "pharmacy", "\u0410\u043f\u0442\u0435\u043a\u0430": "pharmacy-2"}
+    )
     for text, item in (
         ("\u85ac\u5c40\u3078\u884c\u304f", "pharmacy"),
         ("\u0432 \u0430\u043f\u0442\u0435\u043a\u0430", "pharmacy-2"),
@@ -158,7 +160,7 @@ def test_names_in_other_writings_are_found_too() -> None:
 
 def test_a_name_without_letters_or_digits_is_not_looked_for() -> None:
     """Documented: a star names no place in a text."""
-    assert Names({"\u2605": "star"}).find("\u2605 star") == ()
+    assert MentionNames({"\u2605": "star"}).find("\u2605 star") == ()
 
 
 def test_a_list_of_numbers_names_each() -> None:
@@ -219,7 +221,7 @@ def test_a_number_may_be_said_in_many_ways() -> None:
 def test_the_number_of_a_short_name_may_be_said_too() -> None:
     assert named("take P one and P two") == {"package-p1", "package-p2"}
     assert named("the second office") == named("office two") == {"office-2"}
-    assert how("office two") == {How.NUMBER}
+    assert how("office two") == {MentionMatch.NUMBER}
 
 
 def test_number_words_are_read_as_numbers() -> None:
@@ -282,7 +284,7 @@ def test_every_number_below_a_million_is_read_back(number: int, joint: str) -> N
 @settings(max_examples=amount(40, 200))
 @given(st.integers(100, 9_999), st.booleans())
 def test_every_numbered_place_is_found_by_its_spoken_number(number: int, by_digit: bool) -> None:
-    site = Names({f"Station {number}": "here", "Station 99999": "there"})
+    site = MentionNames({f"Station {number}": "here", "Station 99999": "there"})
     spoken = " ".join(ONES[int(digit)] for digit in str(number)) if by_digit else say(number)
     assert [m.ids for m in site.find(f"Go to station {spoken}, please.")] == [("here",)]
 

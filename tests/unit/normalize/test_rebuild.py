@@ -21,7 +21,7 @@ from authguard_r.core.errors import MalformedError
 from authguard_r.core.provenance import Label
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize.bind import Binder
-from authguard_r.normalize.binding import Argument, Binding, Use, Way, ways
+from authguard_r.normalize.binding import Argument, ArgumentUse, Binding, ToolWay, ways
 from authguard_r.normalize.dialects import Call
 from authguard_r.normalize.quantity import scale, unscale
 from authguard_r.normalize.rebuild import Rebuilder, call_bytes
@@ -307,7 +307,7 @@ def test_a_number_that_the_tool_is_given_is_read_as_the_authorized_one(
     value: int, per_unit: str, rounding: Rounding, offset: int
 ) -> None:
     parameter = Parameter(unit="mm", low=-(10**10), high=10**10, rounding=rounding, required=True)
-    argument = Argument(use=Use.MAPPED, to="params.x", per_unit=per_unit, offset=offset)
+    argument = Argument(use=ArgumentUse.MAPPED, to="params.x", per_unit=per_unit, offset=offset)
     found = unscale(value, argument, parameter)
     factor = Fraction(per_unit)
     if found is None:
@@ -321,7 +321,7 @@ def test_a_decimal_is_exact_where_it_can_be_and_cut_toward_zero_where_it_cannot(
     limit = Parameter(unit="x", low=-(10**9), high=10**9, rounding=Rounding.LIMIT, required=True)
 
     def number_of(value: int, per_unit: str, **more: Any) -> Any:
-        return unscale(value, Argument(use=Use.MAPPED, per_unit=per_unit, **more), limit)
+        return unscale(value, Argument(use=ArgumentUse.MAPPED, per_unit=per_unit, **more), limit)
 
     assert number_of(1500, "1000") == Decimal("1.5")
     assert number_of(-1500, "1000") == Decimal("-1.5")
@@ -332,8 +332,8 @@ def test_a_decimal_is_exact_where_it_can_be_and_cut_toward_zero_where_it_cannot(
     assert number_of(-1, "3") == -third
     assert number_of(1500, "1000", whole=True) is None
     count = msgspec.structs.replace(limit, rounding=Rounding.COUNT)
-    assert unscale(1, Argument(use=Use.MAPPED, per_unit="3"), count) is None
-    assert unscale(3, Argument(use=Use.MAPPED, per_unit="3"), count) == 1
+    assert unscale(1, Argument(use=ArgumentUse.MAPPED, per_unit="3"), count) is None
+    assert unscale(3, Argument(use=ArgumentUse.MAPPED, per_unit="3"), count) == 1
 
 
 # -- the shipped ones ------------------------------------------------------------------------------
@@ -368,7 +368,7 @@ def test_every_way_of_a_shipped_binding_binds_rebuilds_and_binds_again() -> None
 
 
 @cache
-def machinery(name: str) -> tuple[Site, tuple[Way, ...], Binder, Rebuilder, Sampler]:
+def machinery(name: str) -> tuple[Site, tuple[ToolWay, ...], Binder, Rebuilder, Sampler]:
     binding, place = shipped(name)
     every = ways(binding)
     return place, every, Binder(place, binding), Rebuilder(place, binding), Sampler(place)

@@ -18,7 +18,7 @@ from authguard_r.core.errors import ClarificationError, MalformedError
 from authguard_r.core.identifiers import ActionType, ParameterId
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize import Plan
-from authguard_r.normalize.binding import POSE, Argument, Binding, Use, load_binding, ways
+from authguard_r.normalize.binding import POSE, Argument, ArgumentUse, Binding, load_binding, ways
 from authguard_r.normalize.shipped import binding_source, shipped_names
 from authguard_r.normalize.stated import normalize_stated
 from authguard_r.site.model import Site
@@ -376,7 +376,7 @@ def test_the_digits_of_a_name_are_no_value() -> None:
 
 def test_a_word_of_the_binding_states_its_value() -> None:
     seconds = Argument(
-        use=Use.MAPPED, to="params.duration_ms", values={"short": 5000, "long": 60_000}
+        use=ArgumentUse.MAPPED, to="params.duration_ms", values={"short": 5000, "long": 60_000}
     )
     wait = replace(scenarios.binding().tools["wait"], arguments={"seconds": seconds})
     binding = replace(scenarios.binding(), tools={"wait": wait})
@@ -406,7 +406,7 @@ def test_a_model_is_shown_the_mapped_arguments_of_a_binding_and_nothing_else(nam
     for way in ways(binding):
         if site.vocabulary[way.tool.type].state_writing:
             continue
-        mapped = {n for n, a in way.tool.arguments.items() if a.use is Use.MAPPED}
+        mapped = {n for n, a in way.tool.arguments.items() if a.use is ArgumentUse.MAPPED}
         (seen,) = [one for one in shown[way.name] if set(one) == mapped | set(way.tool.when)][:1]
         for path in mapped:
             argument = way.tool.arguments[path]

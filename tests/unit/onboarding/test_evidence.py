@@ -10,9 +10,9 @@ import msgspec
 import pytest
 
 from authguard_r.audit.record import Entry
-from authguard_r.audit.verify import Row
+from authguard_r.audit.verify import LogRow
 from authguard_r.authoring.onboarding import evidence
-from authguard_r.authoring.onboarding.evidence import MAX_PLAN, Evidence, gather
+from authguard_r.authoring.onboarding.evidence import MAX_PLAN, ShadowEvidence, gather
 from authguard_r.core.encoding import b64
 from authguard_r.core.errors import MalformedError, RefusedError
 from authguard_r.core.provenance import Label
@@ -32,7 +32,7 @@ NOTICE = Influence(
 )
 
 
-def gathered(folder: Path, *entries: Entry, first: Entry | None = None) -> Evidence:
+def gathered(folder: Path, *entries: Entry, first: Entry | None = None) -> ShadowEvidence:
     return gather(logs.rows(folder, *entries, first=first), scenarios.site())
 
 
@@ -90,7 +90,7 @@ def test_a_log_that_is_not_whole_is_refused(tmp_path: Path, what: str) -> None:
         "dropped": [*rows[:1], *rows[2:]],
         "swapped": [rows[0], rows[2], rows[1], rows[3]],
         "sealed": [*rows[:1], sealed(rows[1], b'"pharmacy"', b'"office-1"'), *rows[2:]],
-        "rubbish": [*rows, Row(4, b"{}", b"\xff", bytes(32))],
+        "rubbish": [*rows, LogRow(4, b"{}", b"\xff", bytes(32))],
     }[what]
     with pytest.raises(RefusedError) as caught:
         gather(changed, scenarios.site())
@@ -98,12 +98,12 @@ def test_a_log_that_is_not_whole_is_refused(tmp_path: Path, what: str) -> None:
     assert caught.value.where.startswith("record")
 
 
-def edited(row: Row, old: bytes, new: bytes) -> Row:
+def edited(row: LogRow, old: bytes, new: bytes) -> LogRow:
     assert old in row.record
     return msgspec.structs.replace(row, record=row.record.replace(old, new))
 
 
-def sealed(row: Row, old: bytes, new: bytes) -> Row:
+def sealed(row: LogRow, old: bytes, new: bytes) -> LogRow:
     assert old in row.sealed
     return msgspec.structs.replace(row, sealed=row.sealed.replace(old, new))
 

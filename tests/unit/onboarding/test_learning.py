@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from authguard_r.authoring.compile.answers import apply, compile_plain
-from authguard_r.authoring.onboarding.evidence import Evidence, Proposed, gather
+from authguard_r.authoring.onboarding.evidence import Proposed, ShadowEvidence, gather
 from authguard_r.authoring.onboarding.grants import draft_of, learn
 from authguard_r.authoring.onboarding.pages import MISSION, propose, ranked, row_line
 from authguard_r.core.action import Action, ActionMeta
@@ -99,7 +99,7 @@ def random_action(rnd: Random) -> tuple[Action, str]:
     return made[kind], at
 
 
-def run(rnd: Random) -> tuple[list[tuple[Action, str]], Evidence]:
+def run(rnd: Random) -> tuple[list[tuple[Action, str]], ShadowEvidence]:
     seen = [random_action(rnd) for _ in range(rnd.randint(1, 8))]
     entries = [logs.decided(action, at=at) for action, at in seen]
     return seen, gather(logs.in_memory(*entries), SITE)

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from authguard_r.authoring.onboarding.graph import Kind, read_ros
+from authguard_r.authoring.onboarding.graph import InterfaceKind, read_ros
 from authguard_r.authoring.onboarding.listing import (
     MAX_FIELDS,
     MAX_LIST,
@@ -183,7 +183,7 @@ int16 result
 def test_the_lines_of_a_graph_are_read_with_the_fields_that_ros_itself_defines() -> None:
     speed, chatter, reset, go = read_ros(GRAPH, where="f")
     assert (speed.kind, speed.name, speed.type) == (
-        Kind.TOPIC,
+        InterfaceKind.TOPIC,
         "/cmd_vel",
         "geometry_msgs/msg/Twist",
     )
@@ -191,9 +191,9 @@ def test_the_lines_of_a_graph_are_read_with_the_fields_that_ros_itself_defines()
     assert list(speed.fields)[:2] == ["linear.x", "linear.y"]
     assert (chatter.type, chatter.fields) == ("", None)
     assert (reset.kind, reset.fields, go.kind, go.fields) == (
-        Kind.SERVICE,
+        InterfaceKind.SERVICE,
         None,
-        Kind.ACTION,
+        InterfaceKind.ACTION,
         None,
     )
 

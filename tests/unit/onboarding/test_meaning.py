@@ -14,11 +14,11 @@ from authguard_r.authoring.binding.samples import probe_site
 from authguard_r.authoring.onboarding.calls import MAX_WORDS
 from authguard_r.authoring.onboarding.evidence import gather
 from authguard_r.authoring.onboarding.listing import MAX_FIELDS, MAX_TOOLS
-from authguard_r.authoring.onboarding.pages import BINDING, MISSION, SITE, Proposals, propose
+from authguard_r.authoring.onboarding.pages import BINDING, MISSION, SITE, LearnedProposals, propose
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Identifier
 from authguard_r.normalize import Binder, Dialect, normalize
-from authguard_r.normalize.binding import Binding, Use, binding_faults, same, ways
+from authguard_r.normalize.binding import ArgumentUse, Binding, binding_faults, same, ways
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert, read_yaml
 from authguard_r.site.words import standard_words
@@ -32,20 +32,22 @@ EMPTY = Binding(schema="authguard-r/binding/1", id=Identifier("empty"), tools={}
 WORDS = probe_site(EMPTY, standard_words())
 
 
-def learned(*plans: str | bytes, site: Site = WORDS, binding: Binding | None = None) -> Proposals:
+def learned(
+    *plans: str | bytes, site: Site = WORDS, binding: Binding | None = None
+) -> LearnedProposals:
     entries = [logs.refused(plan) for plan in plans]
     found = gather(logs.in_memory(*entries, first=logs.genesis(site)), site)
     return propose(found, site, binding)
 
 
-def bound(proposals: Proposals, site: Site = WORDS) -> Binding:
+def bound(proposals: LearnedProposals, site: Site = WORDS) -> Binding:
     """Return the proposed binding, which is sound."""
     found = convert(read_yaml(proposals.files[BINDING], where="b"), Binding, where="b")
     assert list(binding_faults(found, site)) == []
     return found
 
 
-def uses(proposals: Proposals, tool: str) -> tuple[str, dict[str, Any]]:
+def uses(proposals: LearnedProposals, tool: str) -> tuple[str, dict[str, Any]]:
     """Return the type of a tool's one way, and its arguments as they are written."""
     plain = read_yaml(proposals.files[BINDING], where="b")
     assert isinstance(plain, dict)
@@ -336,7 +338,7 @@ def test_whatever_a_planner_wrote_nothing_is_proposed_that_did_not_occur(
         for path, argument in way.tool.arguments.items():
             assert any(f"{name}.".startswith(f"{path}.") for each in flat for name in each)
             values = [each[path] for each in flat if path in each]
-            if argument.use is Use.FIXED:
+            if argument.use is ArgumentUse.FIXED:
                 assert values
                 assert all(same(value, argument.constant()) for value in values)
     binder = Binder(WORDS, binding)

@@ -17,7 +17,7 @@ from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize import Binder, Dialect, normalize
-from authguard_r.normalize.binding import Binding, Use, ways
+from authguard_r.normalize.binding import ArgumentUse, Binding, ways
 from authguard_r.normalize.interface import listed_interface, read_interface
 from authguard_r.site.check import faults, unreviewed
 from authguard_r.site.names import skeleton as look
@@ -152,7 +152,9 @@ def test_the_check_finds_nothing_unmapped_by_our_list_and_by_the_first_one(
         assert report.unmapped == ()
         assert not [fault for fault in report.faults if "that exists" not in fault.message]
     assert made.report.faults == ()
-    assert {a.use for way in ways(found) for a in way.tool.arguments.values()} <= {Use.REFUSED}
+    assert {a.use for way in ways(found) for a in way.tool.arguments.values()} <= {
+        ArgumentUse.REFUSED
+    }
     assert made.report.fields["mapped"] == made.report.fields["noted"] == 0
 
 

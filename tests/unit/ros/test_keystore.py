@@ -19,7 +19,12 @@ from cryptography.hazmat.primitives.serialization import Encoding
 
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.integrations.ros.documents import governance, governance_faults, read_permissions
-from authguard_r.integrations.ros.keycheck import Code, Fault, check_enclave, check_keystore
+from authguard_r.integrations.ros.keycheck import (
+    KeystoreCode,
+    KeystoreFault,
+    check_enclave,
+    check_keystore,
+)
 from authguard_r.integrations.ros.keystore import ENCLAVES, KEY, PRIVATE, PUBLIC, make_keystore
 from authguard_r.integrations.ros.rights import rights_of
 from fixtures.ros_keystores import NOW, certify, example, home, map_of, plain_map, resign
@@ -40,7 +45,7 @@ def keystore(made: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(made, tmp_path / "keystore"))
 
 
-def found(keystore: Path) -> list[tuple[Code, str]]:
+def found(keystore: Path) -> list[tuple[KeystoreCode, str]]:
     """Return what is wrong: the codes, and at which enclave."""
     root = f"{keystore / ENCLAVES}"
     faults = check_keystore(example(), keystore)
@@ -70,7 +75,7 @@ def test_a_keystore_is_never_written_over_another(keystore: Path) -> None:
 )
 def test_l21_whatever_pattern_could_reach_the_robot_is_found(keystore: Path, pattern: str) -> None:
     resign(keystore, PLANNER, "permissions", {GOAL: f"<topic>{pattern}</topic>"})
-    assert (Code.ACTUATES, PLANNER) in found(keystore)
+    assert (KeystoreCode.ACTUATES, PLANNER) in found(keystore)
 
 
 @pytest.mark.parametrize(
@@ -92,14 +97,14 @@ def test_l21_whatever_pattern_could_reach_the_robot_is_found(keystore: Path, pat
 def test_l1_every_way_to_move_the_robot_is_one_that_is_found(keystore: Path, topic: str) -> None:
     resign(keystore, PLANNER, "permissions", {GOAL: f"<topic>{topic}</topic>"})
     codes = found(keystore)
-    assert (Code.ACTUATES, PLANNER) in codes
-    assert (Code.LACKS, PLANNER) in codes
+    assert (KeystoreCode.ACTUATES, PLANNER) in codes
+    assert (KeystoreCode.LACKS, PLANNER) in codes
 
 
 @pytest.mark.parametrize("topic", ["rt/odom", "rt/camera/text"])
 def test_every_way_to_lie_about_the_robot_is_one_that_is_found(keystore: Path, topic: str) -> None:
     resign(keystore, PLANNER, "permissions", {GOAL: f"{GOAL}<topic>{topic}</topic>"})
-    assert (Code.FALSIFIES, PLANNER) in found(keystore)
+    assert (KeystoreCode.FALSIFIES, PLANNER) in found(keystore)
 
 
 ALLOWS = "<allow_rule><domains><id>42</id></domains>"
@@ -108,20 +113,24 @@ ALLOWS = "<allow_rule><domains><id>42</id></domains>"
 @pytest.mark.parametrize(
     ("enclave", "change", "code"),
     [
-        (PLANNER, {"<default>DENY": "<default>ALLOW"}, Code.ACTUATES),
-        (PLANNER, {"<default>DENY</default>": ""}, Code.ACTUATES),
-        (PLANNER, {"CN=/llm/planner": f"CN={GATE}"}, Code.FOREIGN),
-        (PLANNER, {GOAL: f"{GOAL}<topic>rt/goal_pose</topic>"}, Code.WIDER),
-        (PLANNER, {"<id>42</id>": "<id>43</id>"}, Code.LACKS),
-        (BASE, {"<topic>rt/cmd_vel</topic>": "<topic>rt/x</topic>"}, Code.LACKS),
-        (BASE, {"<permissions>": "<grants>", "</permissions>": "</grants>"}, Code.UNREADABLE),
-        (BASE, {"<?xml": "<!DOCTYPE dds [<!ENTITY a 'b'>]><?xml"}, Code.UNREADABLE),
-        (BASE, {"<not_after>": "<not_after>soon"}, Code.UNREADABLE),
-        (BASE, {"<not_after>2": "<not_after>1"}, Code.EXPIRED),
+        (PLANNER, {"<default>DENY": "<default>ALLOW"}, KeystoreCode.ACTUATES),
+        (PLANNER, {"<default>DENY</default>": ""}, KeystoreCode.ACTUATES),
+        (PLANNER, {"CN=/llm/planner": f"CN={GATE}"}, KeystoreCode.FOREIGN),
+        (PLANNER, {GOAL: f"{GOAL}<topic>rt/goal_pose</topic>"}, KeystoreCode.WIDER),
+        (PLANNER, {"<id>42</id>": "<id>43</id>"}, KeystoreCode.LACKS),
+        (BASE, {"<topic>rt/cmd_vel</topic>": "<topic>rt/x</topic>"}, KeystoreCode.LACKS),
+        (
+            BASE,
+            {"<permissions>": "<grants>", "</permissions>": "</grants>"},
+            KeystoreCode.UNREADABLE,
+        ),
+        (BASE, {"<?xml": "<!DOCTYPE dds [<!ENTITY a 'b'>]><?xml"}, KeystoreCode.UNREADABLE),
+        (BASE, {"<not_after>": "<not_after>soon"}, KeystoreCode.UNREADABLE),
+        (BASE, {"<not_after>2": "<not_after>1"}, KeystoreCode.EXPIRED),
     ],
 )
 def test_permissions_that_are_not_the_maps_are_found(
-    keystore: Path, enclave: str, change: dict[str, str], code: Code
+    keystore: Path, enclave: str, change: dict[str, str], code: KeystoreCode
 ) -> None:
     resign(keystore, enclave, "permissions", change)
     codes = dict(found(keystore))
@@ -139,14 +148,14 @@ def test_a_rule_is_for_every_domain_that_it_might_mean(keystore: Path, domains: 
     if domains == "x":
         rule = rule.replace("<domains>x</domains>", "")
     resign(keystore, PLANNER, "permissions", {ALLOWS: rule + ALLOWS})
-    assert (Code.ACTUATES, PLANNER) in found(keystore)
+    assert (KeystoreCode.ACTUATES, PLANNER) in found(keystore)
 
 
 def test_a_rule_that_nobody_can_read_is_for_every_domain(keystore: Path) -> None:
     resign(
         keystore, PLANNER, "permissions", {"<id>42</id>": "<id>all</id>", GOAL: "<topic>*</topic>"}
     )
-    assert (Code.ACTUATES, PLANNER) in found(keystore)
+    assert (KeystoreCode.ACTUATES, PLANNER) in found(keystore)
 
 
 def test_a_rule_for_another_domain_moves_nothing_here(keystore: Path) -> None:
@@ -159,7 +168,7 @@ def test_a_number_that_another_reads_otherwise_is_for_every_domain(keystore: Pat
     resign(
         keystore, PLANNER, "permissions", {"<id>42</id>": "<id>4_3</id>", GOAL: "<topic>*</topic>"}
     )
-    assert (Code.ACTUATES, PLANNER) in found(keystore)
+    assert (KeystoreCode.ACTUATES, PLANNER) in found(keystore)
 
 
 ANYTHING = "<publish><topics><topic>*</topic></topics></publish>"
@@ -186,13 +195,13 @@ def test_l21_what_another_reader_might_see_otherwise_is_no_document(
 ) -> None:
     """Authorities sign what they see; what a middleware sees moves the robot."""
     resign(keystore, PLANNER, "permissions", change)
-    assert Code.UNREADABLE in {code for code, _ in found(keystore)}
+    assert KeystoreCode.UNREADABLE in {code for code, _ in found(keystore)}
 
 
 def test_l21_a_governance_with_a_rule_that_we_do_not_see_is_none(keystore: Path) -> None:
     rule = '<domain_rule xmlns="urn:x"><domains><id>42</id></domains></domain_rule>'
     resign(keystore, BASE, "governance", {"<domain_rule>": f"{rule}<domain_rule>"})
-    assert Code.UNREADABLE in {code for code, _ in found(keystore)}
+    assert KeystoreCode.UNREADABLE in {code for code, _ in found(keystore)}
 
 
 def test_a_comment_between_elements_is_nobodys_matter(keystore: Path) -> None:
@@ -220,7 +229,7 @@ def test_bytes_of_another_encoding_are_no_document(keystore: Path) -> None:
 )
 def test_a_governance_that_lets_more_in_is_found(keystore: Path, old: str, new: str) -> None:
     resign(keystore, BASE, "governance", {old: new})
-    assert (Code.OPEN, BASE) in found(keystore)
+    assert (KeystoreCode.OPEN, BASE) in found(keystore)
 
 
 def test_a_truth_value_is_read_as_xml_means_it() -> None:
@@ -266,23 +275,35 @@ Break = Callable[[Path], object]
 @pytest.mark.parametrize(
     ("spoil", "code", "where"),
     [
-        (lambda k: shutil.rmtree(home(k, BASE)), Code.MISSING, BASE),
-        (lambda k: shutil.copytree(home(k, GATE), home(k, "/old")), Code.FOREIGN, "/old"),
-        (lambda k: shutil.copytree(home(k, GATE), home(k, "/old")), Code.ACTUATES, "/old"),
-        (lambda k: shutil.copytree(home(k, GATE), home(k, "/old")), Code.SHARED, "/old"),
-        (lambda k: home(k, BASE).joinpath(KEY).chmod(0o640), Code.EXPOSED, BASE),
-        (lambda k: copied(k, KEY), Code.FOREIGN, PLANNER),
-        (lambda k: copied(k, "permissions.p7s"), Code.FOREIGN, PLANNER),
-        (lambda k: home(k, BASE).joinpath(KEY).write_text("x"), Code.UNREADABLE, f"{BASE}/{KEY}"),
-        (lambda k: home(k, BASE).joinpath("cert.pem").write_text("x"), Code.UNREADABLE, BASE),
-        (lambda k: home(k, BASE).joinpath("governance.p7s").unlink(), Code.UNREADABLE, BASE),
-        (swapped, Code.FOREIGN, BASE),
-        (nameless, Code.UNREADABLE, BASE),
-        (edited, Code.FORGED, PLANNER),
+        (lambda k: shutil.rmtree(home(k, BASE)), KeystoreCode.MISSING, BASE),
+        (lambda k: shutil.copytree(home(k, GATE), home(k, "/old")), KeystoreCode.FOREIGN, "/old"),
+        (lambda k: shutil.copytree(home(k, GATE), home(k, "/old")), KeystoreCode.ACTUATES, "/old"),
+        (lambda k: shutil.copytree(home(k, GATE), home(k, "/old")), KeystoreCode.SHARED, "/old"),
+        (lambda k: home(k, BASE).joinpath(KEY).chmod(0o640), KeystoreCode.EXPOSED, BASE),
+        (lambda k: copied(k, KEY), KeystoreCode.FOREIGN, PLANNER),
+        (lambda k: copied(k, "permissions.p7s"), KeystoreCode.FOREIGN, PLANNER),
+        (
+            lambda k: home(k, BASE).joinpath(KEY).write_text("x"),
+            KeystoreCode.UNREADABLE,
+            f"{BASE}/{KEY}",
+        ),
+        (
+            lambda k: home(k, BASE).joinpath("cert.pem").write_text("x"),
+            KeystoreCode.UNREADABLE,
+            BASE,
+        ),
+        (
+            lambda k: home(k, BASE).joinpath("governance.p7s").unlink(),
+            KeystoreCode.UNREADABLE,
+            BASE,
+        ),
+        (swapped, KeystoreCode.FOREIGN, BASE),
+        (nameless, KeystoreCode.UNREADABLE, BASE),
+        (edited, KeystoreCode.FORGED, PLANNER),
     ],
 )
 def test_an_enclave_that_is_not_what_it_says_is_found(
-    keystore: Path, spoil: Break, code: Code, where: str
+    keystore: Path, spoil: Break, code: KeystoreCode, where: str
 ) -> None:
     spoil(keystore)
     assert any(got == code and at.startswith(where) for got, at in found(keystore)), found(keystore)
@@ -293,8 +314,8 @@ def test_an_enclave_of_another_authority_is_found(keystore: Path, tmp_path: Path
     shutil.rmtree(home(keystore, GATE))
     shutil.copytree(home(tmp_path / "other", GATE), home(keystore, GATE))
     codes = [code for code, _ in found(keystore)]
-    assert Code.FOREIGN in codes
-    assert Code.FORGED in codes
+    assert KeystoreCode.FOREIGN in codes
+    assert KeystoreCode.FORGED in codes
 
 
 def named(*uris: str) -> x509.SubjectAlternativeName:
@@ -307,7 +328,7 @@ def test_a_keystore_of_another_robot_is_found(tmp_path: Path) -> None:
     make_keystore(other, tmp_path / "other")
     assert check_keystore(other, tmp_path / "other") == ()
     faults = check_keystore(example(), tmp_path / "other")
-    assert {fault.code for fault in faults} == {Code.FOREIGN}
+    assert {fault.code for fault in faults} == {KeystoreCode.FOREIGN}
     assert {fault.where for fault in faults} == set(rights_of(example()))
     assert all("courier-9" in fault.message for fault in faults)
 
@@ -321,7 +342,7 @@ def test_a_gate_whose_enclave_names_no_robot_is_found(
 ) -> None:
     certify(keystore, GATE, *extensions)
     certify(keystore, PLANNER, *extensions)  # it may be a planner of several robots
-    assert found(keystore) == [(Code.FOREIGN, GATE)]
+    assert found(keystore) == [(KeystoreCode.FOREIGN, GATE)]
 
 
 def test_an_enclave_may_be_of_several_robots_and_a_gates_own_name_counts(
@@ -340,13 +361,13 @@ def test_an_enclave_may_be_of_several_robots_and_a_gates_own_name_counts(
 def test_extensions_that_nobody_can_read_are_found(keystore: Path) -> None:
     san = x509.ObjectIdentifier("2.5.29.17")
     certify(keystore, PLANNER, x509.UnrecognizedExtension(san, b"\x30\x03\x86\x05x"))
-    assert (Code.UNREADABLE, f"{PLANNER}/cert.pem") in found(keystore)
+    assert (KeystoreCode.UNREADABLE, f"{PLANNER}/cert.pem") in found(keystore)
 
 
 def test_what_has_ended_is_found(keystore: Path) -> None:
     later = NOW + timedelta(days=400)
     codes = {fault.code for fault in check_keystore(example(), keystore, now=later)}
-    assert codes == {Code.EXPIRED}
+    assert codes == {KeystoreCode.EXPIRED}
 
 
 def test_keys_may_lie_with_their_processes(keystore: Path) -> None:
@@ -362,14 +383,14 @@ def test_an_enclave_that_the_map_does_not_have_is_found(keystore: Path, tmp_path
     make_keystore(map_of(plain), tmp_path / "wider")
     faults = check_keystore(example(), tmp_path / "wider")
     assert {fault.where for fault in faults} == {"/robot/helper"}
-    assert Code.STRANGE in {fault.code for fault in faults}
+    assert KeystoreCode.STRANGE in {fault.code for fault in faults}
 
 
 def test_an_enclave_behind_a_link_is_found(keystore: Path, tmp_path: Path) -> None:
     """ROS follows it, to wherever it leads."""
     elsewhere = shutil.copytree(home(keystore, PLANNER), tmp_path / "elsewhere")
     (keystore / ENCLAVES / "other").symlink_to(elsewhere)
-    assert found(keystore) == [(Code.UNREADABLE, "/other")]
+    assert found(keystore) == [(KeystoreCode.UNREADABLE, "/other")]
 
 
 def test_a_folder_that_nobody_can_look_into_is_found(keystore: Path) -> None:
@@ -382,7 +403,7 @@ def test_a_folder_that_nobody_can_look_into_is_found(keystore: Path) -> None:
     os.close(here)
     (fault,) = check_keystore(example(), keystore)
     assert (fault.code, fault.message) == (
-        Code.UNREADABLE,
+        KeystoreCode.UNREADABLE,
         "cannot be looked into: File name too long",
     )
     shutil.rmtree(keystore / ENCLAVES / ("x" * 250))
@@ -392,7 +413,7 @@ def test_a_map_that_moved_on_is_found(keystore: Path) -> None:
     plain = plain_map()
     plain["mediated"]["light"]["private"] = "/lamp"
     codes = {fault.code for fault in check_keystore(map_of(plain), keystore)}
-    assert codes == {Code.LACKS, Code.WIDER}
+    assert codes == {KeystoreCode.LACKS, KeystoreCode.WIDER}
 
 
 def test_what_is_no_keystore_is_said_so(keystore: Path) -> None:
@@ -402,5 +423,5 @@ def test_what_is_no_keystore_is_said_so(keystore: Path) -> None:
     with pytest.raises(EnvironmentFault):
         check_keystore(example(), keystore)
     (fault,) = check_enclave(example(), keystore, GATE)
-    assert isinstance(fault, Fault)
-    assert fault.code is Code.UNREADABLE
+    assert isinstance(fault, KeystoreFault)
+    assert fault.code is KeystoreCode.UNREADABLE

@@ -11,7 +11,7 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from authguard_r.integrations.ros.latch import MS, Latch, Why
+from authguard_r.integrations.ros.latch import MS, Latch, LatchCause
 from fixtures.cases import case
 
 SILENCE, SETTLE, PERIOD = 120, 200, 20
@@ -33,21 +33,21 @@ def opened(who: bytes = GATE) -> tuple[Latch, int]:
 
 def test_it_begins_closed_and_hears_nothing_for_ever() -> None:
     made = latch()
-    assert made.why is Why.START
+    assert made.why is LatchCause.START
     assert not made.look(10**15)
-    assert made.why is Why.START
+    assert made.why is LatchCause.START
 
 
 def test_a_sample_that_moves_never_opens_it() -> None:
     made = latch()
     for at in range(0, 10_000, PERIOD):
-        assert made.hear(GATE, at * MS, is_neutral=False) is Why.START
+        assert made.hear(GATE, at * MS, is_neutral=False) is LatchCause.START
 
 
 def test_it_opens_after_standing_was_heard_for_long_enough_and_not_before() -> None:
     made = latch()
     for at in range(0, SETTLE, PERIOD):
-        assert made.hear(GATE, at * MS, is_neutral=True) is Why.START
+        assert made.hear(GATE, at * MS, is_neutral=True) is LatchCause.START
     assert made.hear(GATE, SETTLE * MS, is_neutral=True) is None
 
 
@@ -62,14 +62,14 @@ def test_silence_closes_it_at_a_look_or_at_the_late_sample_itself() -> None:
     made, at = opened()
     assert made.look((at + SILENCE) * MS)
     assert not made.look((at + SILENCE) * MS)  # once
-    assert made.why is Why.SILENCE
+    assert made.why is LatchCause.SILENCE
     made, at = opened()
-    assert made.hear(GATE, (at + SILENCE) * MS, is_neutral=False) is Why.SILENCE
+    assert made.hear(GATE, (at + SILENCE) * MS, is_neutral=False) is LatchCause.SILENCE
 
 
 def test_a_sample_of_another_publisher_closes_it_and_does_not_go_on() -> None:
     made, at = opened()
-    assert made.hear(OTHER, (at + 1) * MS, is_neutral=True) is Why.ANOTHER
+    assert made.hear(OTHER, (at + 1) * MS, is_neutral=True) is LatchCause.ANOTHER
 
 
 def test_two_publishers_that_both_stand_never_open_it() -> None:
@@ -81,15 +81,15 @@ def test_two_publishers_that_both_stand_never_open_it() -> None:
 
 
 def test_whatever_closes_it_the_first_cause_is_kept_and_the_wait_begins_anew() -> None:
-    for why in list(Why):
+    for why in list(LatchCause):
         with case(why):
             made, at = opened()
             assert made.stop(why)
-            assert not made.stop(Why.CLOSED)
+            assert not made.stop(LatchCause.CLOSED)
             assert made.why is why
             for after in range(PERIOD, SETTLE, PERIOD):
                 assert made.hear(GATE, (at + after) * MS, is_neutral=True) is why
-            made.stop(Why.DEADLINE)  # again, half way to open
+            made.stop(LatchCause.DEADLINE)  # again, half way to open
             for after in range(SETTLE, 2 * SETTLE, PERIOD):
                 assert made.hear(GATE, (at + after) * MS, is_neutral=True) is why
             assert made.hear(GATE, (at + 2 * SETTLE) * MS, is_neutral=True) is None

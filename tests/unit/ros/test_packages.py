@@ -22,7 +22,7 @@ from fixtures.scenarios import ROOT
 
 PACKAGE = ROOT / "ros2" / "authguard_ros"
 LAUNCH = PACKAGE / "launch" / "guarded.launch.py"
-NODES = ROOT / "src" / "authguard_r" / "ros" / "nodes"
+NODES = ROOT / "src" / "authguard_r" / "integrations" / "ros" / "nodes"
 #: What pip installs with `authguard-r[ros]`; the rest comes with ROS.
 WITH_PIP = {"authguard_r", "msgspec"}
 

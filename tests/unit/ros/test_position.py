@@ -20,11 +20,11 @@ from authguard_r.integrations.ros.position import (
     SETTLE_SAMPLES,
     SILENCE_MS,
     SPACED_MS,
+    DoubtCause,
     Fix,
-    Sample,
+    PositionSample,
+    PositionTrack,
     Stamps,
-    Track,
-    Why,
     covariance_fault,
 )
 from fixtures.cases import case
@@ -34,17 +34,17 @@ MARGIN_MM, MAX_MM_S = 150, 1_500
 NOBODY = b""
 
 
-def track() -> Track:
-    return Track(max_speed_mm_s=MAX_MM_S, margin_mm=MARGIN_MM)
+def track() -> PositionTrack:
+    return PositionTrack(max_speed_mm_s=MAX_MM_S, margin_mm=MARGIN_MM)
 
 
-def at(ms: float, x: float = 0.0, y: float = 0.0, **more: object) -> Sample:
+def at(ms: float, x: float = 0.0, y: float = 0.0, **more: object) -> PositionSample:
     ns = int(ms * MS)
     given = {"z": 0.0, "who": b"a", "newest_ns": ns, "oldest_ns": ns, "speed": 0.0, **more}
-    return Sample(x=x, y=y, **given)  # type: ignore[arg-type]
+    return PositionSample(x=x, y=y, **given)  # type: ignore[arg-type]
 
 
-def settled(speed: float | None = 0.0) -> tuple[Track, int]:
+def settled(speed: float | None = 0.0) -> tuple[PositionTrack, int]:
     """Return a track that is sound, and when."""
     it, ms = track(), 0
     while it.fix is None:
@@ -78,16 +78,16 @@ def test_it_is_to_the_millimeter_and_no_speed_is_less_than_it_was_said() -> None
     assert it.fix == Fix(x_mm=1, y_mm=-2, speed_mm_s=101, measured_ns=(ms - 7) * MS)
 
 
-FAULTS: list[tuple[Why, dict[str, object]]] = [
-    (Why.NOT_FINITE, {"x": math.nan}),
-    (Why.NOT_FINITE, {"speed": math.inf}),
-    (Why.HEIGHT, {"z": 1.1}),
-    (Why.HEIGHT, {"z": -1.1}),
-    (Why.FAR, {"y": -1e7}),
-    (Why.UNNAMED, {"who": NOBODY}),
-    (Why.ANOTHER, {"who": b"b"}),
-    (Why.JUMP, {"x": 0.4}),
-    (Why.SILENCE, {"oldest_ns": 1}),
+FAULTS: list[tuple[DoubtCause, dict[str, object]]] = [
+    (DoubtCause.NOT_FINITE, {"x": math.nan}),
+    (DoubtCause.NOT_FINITE, {"speed": math.inf}),
+    (DoubtCause.HEIGHT, {"z": 1.1}),
+    (DoubtCause.HEIGHT, {"z": -1.1}),
+    (DoubtCause.FAR, {"y": -1e7}),
+    (DoubtCause.UNNAMED, {"who": NOBODY}),
+    (DoubtCause.ANOTHER, {"who": b"b"}),
+    (DoubtCause.JUMP, {"x": 0.4}),
+    (DoubtCause.SILENCE, {"oldest_ns": 1}),
 ]
 
 
@@ -108,29 +108,33 @@ def test_silence_is_found_by_the_clock_and_by_the_next_sample() -> None:
     it.look(last + SILENCE_MS * MS - 1)
     assert it.fix is not None
     it.look(last + SILENCE_MS * MS)
-    assert (it.fix, it.why) == (None, Why.SILENCE)
+    assert (it.fix, it.why) == (None, DoubtCause.SILENCE)
     it.look(last + 9 * SILENCE_MS * MS)  # and once
     it, ms = settled()
     it.take(at(ms - STEP_MS + SILENCE_MS))
-    assert (it.fix, it.why, it.is_lost) == (None, Why.SILENCE, False)
+    assert (it.fix, it.why, it.is_lost) == (None, DoubtCause.SILENCE, False)
 
 
 def test_a_doubt_that_nothing_follows_becomes_a_silence() -> None:
     it, ms = settled()
-    it.doubt(Why.LATE)
-    for late, why in ((0, Why.LATE), (SILENCE_MS - 1, Why.LATE), (SILENCE_MS, Why.SILENCE)):
+    it.doubt(DoubtCause.LATE)
+    for late, why in (
+        (0, DoubtCause.LATE),
+        (SILENCE_MS - 1, DoubtCause.LATE),
+        (SILENCE_MS, DoubtCause.SILENCE),
+    ):
         it.look((ms + late) * MS)
         assert (it.why, it.fix) == (why, None)
-    it.doubt(Why.FRAME)  # somebody says something again
+    it.doubt(DoubtCause.FRAME)  # somebody says something again
     it.look((ms + SILENCE_MS + 1) * MS)
-    assert it.why is Why.FRAME
+    assert it.why is DoubtCause.FRAME
 
 
 def test_who_was_never_heard_is_no_silence() -> None:
     it = track()
     for ms in (0, SILENCE_MS, 2 * SILENCE_MS):
         it.look(ms * MS)
-    assert it.why is Why.START
+    assert it.why is DoubtCause.START
 
 
 def test_a_silence_after_a_silence_is_forgotten_too() -> None:
@@ -139,7 +143,7 @@ def test_a_silence_after_a_silence_is_forgotten_too() -> None:
     for beginning in (ms, ms + 3 * SILENCE_MS):
         it.take(at(beginning))
         it.look((beginning + SILENCE_MS) * MS)
-        assert (it.why, it.is_lost) == (Why.SILENCE, True)
+        assert (it.why, it.is_lost) == (DoubtCause.SILENCE, True)
 
 
 def test_two_names_in_turn_are_never_sound() -> None:
@@ -155,7 +159,7 @@ def test_a_jump_within_the_margins_is_passed_and_many_of_them_are_not() -> None:
     it.take(at(ms, 0.29))
     assert it.fix is not None
     it.take(at(ms + STEP_MS, 0.58))
-    assert it.why is Why.JUMP
+    assert it.why is DoubtCause.JUMP
 
 
 def test_the_newest_position_counts_although_it_comes_too_soon_to_be_kept() -> None:
@@ -166,7 +170,7 @@ def test_the_newest_position_counts_although_it_comes_too_soon_to_be_kept() -> N
     it.take(at(kept_ms))
     it.take(at(newest_ms))
     it.take(at(newest_ms + 303, 0.7575))
-    assert it.why is Why.JUMP
+    assert it.why is DoubtCause.JUMP
 
 
 def test_a_speed_that_is_said_to_be_none_is_what_the_positions_show() -> None:
@@ -209,19 +213,19 @@ def test_a_robot_within_its_profile_is_never_doubtful(gaps: list[int], clock: in
     for gap in gaps:
         ms += gap
         measured = stamps.take(clock + ms * MS, ms * MS)
-        assert not isinstance(measured, Why)
+        assert not isinstance(measured, DoubtCause)
         # the clock of its own is allowed to be a thousandth slower
         assert 0 <= ms * MS - measured <= ms * MS // 1_000 + 1
         it.take(at(measured / MS, 1.49 * ms / 1_000, speed=1.49))
-        assert it.why in {None, Why.START}
+        assert it.why in {None, DoubtCause.START}
 
 
 def test_stamps_that_go_back_stand_still_or_run_are_none() -> None:
     it = Stamps()
     assert it.take(5 * MS, 100 * MS) == 100 * MS
-    assert it.take(5 * MS, 120 * MS) is Why.STILL
-    assert it.take(4 * MS, 120 * MS) is Why.BACK
-    assert it.take((25 + AHEAD_MS + 1) * MS, 120 * MS) is Why.AHEAD
+    assert it.take(5 * MS, 120 * MS) is DoubtCause.STILL
+    assert it.take(4 * MS, 120 * MS) is DoubtCause.BACK
+    assert it.take((25 + AHEAD_MS + 1) * MS, 120 * MS) is DoubtCause.AHEAD
     assert it.take(25 * MS, 120 * MS) == 120 * MS
 
 
@@ -229,30 +233,32 @@ def test_what_took_longer_than_the_fastest_is_older_by_that() -> None:
     it = Stamps()
     assert it.take(1, 1_000 * MS) == 1_000 * MS
     assert it.take(1 + 20 * MS, 1_090 * MS) == 1_020 * MS + 90_000
-    assert it.take(1 + 40 * MS, 3_000 * MS) is Why.LATE
+    assert it.take(1 + 40 * MS, 3_000 * MS) is DoubtCause.LATE
 
 
 def test_stamps_that_run_little_by_little_run_too_and_a_slow_clock_does_not() -> None:
     fast, slow = Stamps(), Stamps()
     told = [fast.take(3 * ms * MS, ms * MS) for ms in range(0, 400, STEP_MS)]
-    assert told[-1] is Why.AHEAD
+    assert told[-1] is DoubtCause.AHEAD
     for ms in range(0, 600_000, 1_000):
         assert slow.take(ms * MS - ms * 900, ms * MS) == ms * MS
 
 
 def test_a_covariance_has_to_bear_the_margin() -> None:
-    def fault(a: float, b: float, other: float, c: float) -> Why | None:
+    def fault(a: float, b: float, other: float, c: float) -> DoubtCause | None:
         values = [0.0] * 36
         values[0], values[1], values[6], values[7] = a, b, other, c
         return covariance_fault(values, MARGIN_MM)
 
     assert fault(0.0, 0.0, 0.0, 0.0) is None  # it says nothing
     assert fault(0.0025, 0.0, 0.0, 0.0024) is None
-    assert fault(0.0026, 0.0, 0.0, 0.0) is Why.COVARIANCE
-    assert fault(0.0, 0.0, 0.0, 0.0026) is Why.COVARIANCE
-    assert fault(0.002, 0.001, 0.001, 0.002) is Why.COVARIANCE  # its longer axis lies between
-    assert fault(0.001, 0.0005, 0.0, 0.001) is Why.COVARIANCE
-    assert fault(0.001, 0.002, 0.002, 0.001) is Why.COVARIANCE
-    assert fault(-1.0, 0.0, 0.0, 0.0) is Why.COVARIANCE
-    assert covariance_fault([0.0] * 35, MARGIN_MM) is Why.COVARIANCE
-    assert covariance_fault([0.0] * 35 + [math.nan], MARGIN_MM) is Why.NOT_FINITE
+    assert fault(0.0026, 0.0, 0.0, 0.0) is DoubtCause.COVARIANCE
+    assert fault(0.0, 0.0, 0.0, 0.0026) is DoubtCause.COVARIANCE
+    assert (
+        fault(0.002, 0.001, 0.001, 0.002) is DoubtCause.COVARIANCE
+    )  # its longer axis lies between
+    assert fault(0.001, 0.0005, 0.0, 0.001) is DoubtCause.COVARIANCE
+    assert fault(0.001, 0.002, 0.002, 0.001) is DoubtCause.COVARIANCE
+    assert fault(-1.0, 0.0, 0.0, 0.0) is DoubtCause.COVARIANCE
+    assert covariance_fault([0.0] * 35, MARGIN_MM) is DoubtCause.COVARIANCE
+    assert covariance_fault([0.0] * 35 + [math.nan], MARGIN_MM) is DoubtCause.NOT_FINITE

@@ -6,7 +6,7 @@ Source: lesson L1; docs/spec/ros-map.md#rights
 
 from __future__ import annotations
 
-from authguard_r.integrations.ros.rights import Way, actuating, rights_of
+from authguard_r.integrations.ros.rights import RightKind, actuating, rights_of
 from fixtures.ros_keystores import example, map_of, plain_map
 
 GOAL, CANCEL = (f"rq/navigate_to_pose/_action/{of}Request" for of in ("send_goal", "cancel_goal"))
@@ -66,9 +66,9 @@ def test_a_process_does_what_its_map_says_and_stands_behind_it() -> None:
     assert moving["rq/controller_server/change_stateRequest"] == {"/robot/base"}
     assert "rq/lampRequest" not in moving
     for topic in ("rq/lampRequest", "rr/lampReply", "rr/dance/_action/send_goalReply"):
-        assert topic in base.of(Way.WRITE)
+        assert topic in base.of(RightKind.WRITE)
     for topic in ("rq/lampRequest", "rt/see/_action/status", "rq/base/get_parametersRequest"):
-        assert topic in base.of(Way.READ)
+        assert topic in base.of(RightKind.READ)
 
 
 def test_no_clock_is_anybodys() -> None:

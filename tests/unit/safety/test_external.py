@@ -22,8 +22,8 @@ from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.core.safety import SafetyDecision
 from authguard_r.core.state import AttestedState
 from authguard_r.safety import (
-    Checker,
     EnvelopeGate,
+    ExternalChecker,
     ExternalGate,
     SafetyConfig,
     Together,
@@ -59,8 +59,8 @@ def process(script: Path, *words: str) -> Iterator[str]:
             server.stdout.close()
 
 
-def checker(path: str, *, timeout_ms: int = PATIENT, **more: Any) -> Checker:
-    return Checker(id="roboguard", socket=path, timeout_ms=timeout_ms, **more)
+def checker(path: str, *, timeout_ms: int = PATIENT, **more: Any) -> ExternalChecker:
+    return ExternalChecker(id="roboguard", socket=path, timeout_ms=timeout_ms, **more)
 
 
 def ask(gate: Any, action: Any = SLOW, state: AttestedState | None = None) -> SafetyDecision:
@@ -275,4 +275,4 @@ def test_a_checker_of_another_shape_is_no_configuration() -> None:
         with case(change):
             plain = {**msgspec.to_builtins(checker("/run/checker.sock")), **change}
             with pytest.raises(MalformedError):
-                decode(msgspec.json.encode(plain, order="sorted"), Checker)
+                decode(msgspec.json.encode(plain, order="sorted"), ExternalChecker)

@@ -16,7 +16,7 @@ from authguard_r.safety.temporal.formula import (
     FALSE,
     TRUE,
     Atom,
-    Comparison,
+    AtomComparison,
     Formula,
     Op,
     negated,
@@ -25,7 +25,7 @@ from authguard_r.safety.temporal.parse import MAX_DEPTH, MAX_LENGTH, parse
 from fixtures.cases import case
 
 
-def word(field: str, value: str | int, test: Comparison = Comparison.EQUAL) -> Formula:
+def word(field: str, value: str | int, test: AtomComparison = AtomComparison.EQUAL) -> Formula:
     return Formula(Op.ATOM, (), Atom(field, test, value))
 
 
@@ -61,20 +61,20 @@ def test_every_part_of_the_grammar_has_one_reading() -> None:
         ("object = package-p1", word("object", "package-p1")),
         ("source = a", word("source", "a")),
         ("destination = a.b:c_d-", word("destination", "a.b:c_d-")),
-        ("route contains hall", word("route", "hall", Comparison.CONTAINS)),
-        ("!route contains hall", NO(word("route", "hall", Comparison.CONTAINS))),
-        ("params.v <= 5", word("params.v", 5, Comparison.AT_MOST)),
-        ("params.v < 5", word("params.v", 4, Comparison.AT_MOST)),
-        ("params.v > 5", NO(word("params.v", 5, Comparison.AT_MOST))),
-        ("params.v >= -5", NO(word("params.v", -6, Comparison.AT_MOST))),
+        ("route contains hall", word("route", "hall", AtomComparison.CONTAINS)),
+        ("!route contains hall", NO(word("route", "hall", AtomComparison.CONTAINS))),
+        ("params.v <= 5", word("params.v", 5, AtomComparison.AT_MOST)),
+        ("params.v < 5", word("params.v", 4, AtomComparison.AT_MOST)),
+        ("params.v > 5", NO(word("params.v", 5, AtomComparison.AT_MOST))),
+        ("params.v >= -5", NO(word("params.v", -6, AtomComparison.AT_MOST))),
         ("params.v = 5", word("params.v", 5)),
         ("params.v != 0", NO(word("params.v", 0))),
         ("state.door = open", word("state.door", "open")),
         ("state.door != true", NO(word("state.door", "true"))),
         ("state.far = 7", word("state.far", 7)),
-        ("state.far <= 7", word("state.far", 7, Comparison.AT_MOST)),
+        ("state.far <= 7", word("state.far", 7, AtomComparison.AT_MOST)),
         ("state.a.b = 007", word("state.a.b", "007")),
-        (f"params.v <= {MAX_INTEGER}", word("params.v", MAX_INTEGER, Comparison.AT_MOST)),
+        (f"params.v <= {MAX_INTEGER}", word("params.v", MAX_INTEGER, AtomComparison.AT_MOST)),
     ]:
         with case(text, formula):
             assert parse(text) == formula
@@ -145,4 +145,4 @@ def test_whatever_the_text_it_is_a_formula_or_malformed(text: str) -> None:
 
 def test_an_atom_is_told_as_it_is_written() -> None:
     assert str(P.atom) == "type = p"
-    assert str(word("params.v", 5, Comparison.AT_MOST).atom) == "params.v <= 5"
+    assert str(word("params.v", 5, AtomComparison.AT_MOST).atom) == "params.v <= 5"

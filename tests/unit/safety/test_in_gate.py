@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from authguard_r.core.errors import EnvironmentFault, MalformedError
-from authguard_r.safety import Checker, Rule, SafetyConfig, default_config
+from authguard_r.safety import ExternalChecker, Rule, SafetyConfig, default_config
 from authguard_r.server.process import ASKED_MS, Rendezvous
 from authguard_r.wire.messages import ClientRole
 from fixtures import estop_fixtures, scenarios
@@ -49,7 +49,11 @@ def test_a_gate_and_its_what_ifs_go_by_what_was_released() -> None:
     ("changes", "fault"),
     [
         (
-            {"checker": Checker(id="slow", socket="/run/checker.sock", timeout_ms=ASKED_MS + 1)},
+            {
+                "checker": ExternalChecker(
+                    id="slow", socket="/run/checker.sock", timeout_ms=ASKED_MS + 1
+                )
+            },
             EnvironmentFault,
         ),
         ({"rules": (Rule(id="none", formula="G"),)}, MalformedError),

@@ -32,7 +32,7 @@ from authguard_r.normalize import Step
 from authguard_r.operations.simulation import Simulation, simulate
 from authguard_r.provenance.context import ContextLedger
 from authguard_r.safety import EnvelopeGate, Rule, SafetyConfig, Together, default_config
-from authguard_r.safety.stored_memory import LOST, Kept, memory_of, remember, settle_memory
+from authguard_r.safety.stored_memory import LOST, MissionMemory, memory_of, remember, settle_memory
 from fixtures import scenarios
 
 SCAN = Action(type="scan_obstacles", tool="lidar")
@@ -108,10 +108,10 @@ def memory(sim: Simulation) -> bytes:
     return sim.gate.ledger.peek(lambda turn: memory_of(turn, standing))
 
 
-def held(sim: Simulation) -> Kept:
+def held(sim: Simulation) -> MissionMemory:
     data = sim.gate.ledger.peek(lambda turn: turn.get("safety", MID))
     assert data is not None
-    return decode(data, Kept)
+    return decode(data, MissionMemory)
 
 
 def put(sim: Simulation, data: bytes) -> None:
@@ -357,7 +357,7 @@ def test_the_memory_of_another_mission_in_its_place_is_none() -> None:
     sim.gate.management.activate(scenarios.token(mission(mission="other-looks")))
     assert safe(scenarios.propose(sim, SCAN))
     fresh = sim.gate.ledger.peek(lambda turn: turn.get("safety", "other-looks"))
-    stolen = msgspec.structs.replace(decode(fresh, Kept), memory=held(sim).memory)
+    stolen = msgspec.structs.replace(decode(fresh, MissionMemory), memory=held(sim).memory)
     sim.gate.ledger.run(lambda act: act.put("safety", "other-looks", encode_fast(stolen)))
     assert not safe(scenarios.propose(sim, SCAN))
 

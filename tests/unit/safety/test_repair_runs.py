@@ -32,7 +32,7 @@ from authguard_r.server.process import Rendezvous
 from authguard_r.store.sqlite import open_store
 from authguard_r.wire.messages import ClientRole, Kind, Propose
 from fixtures import estop_fixtures, scenarios
-from missionpair.bench import Bench, Scene, approve, make_bench
+from missionpair.bench import Bench, BenchScene, approve, make_bench
 from missionpair.bench import propose as begin
 from missionpair.suite import restricted
 from unit.server.demo_site import Guest, House
@@ -156,7 +156,7 @@ def test_what_is_safe_runs_as_it_was_proposed() -> None:
 ISOLATED = scenarios.navigate("dock", "isolation-room", speed=800)
 
 
-def approved_near_a_person(bench: Bench, scene: Scene) -> Scene:
+def approved_near_a_person(bench: Bench, scene: BenchScene) -> BenchScene:
     """Return the scene with its plan approved, and a person who came near after that."""
     begin(scene)
     approve(bench, scene, "supervisor-1", "supervisor-2")
@@ -164,7 +164,7 @@ def approved_near_a_person(bench: Bench, scene: Scene) -> Scene:
     return scene
 
 
-def place_person(scene: Scene, distance_mm: int) -> None:
+def place_person(scene: BenchScene, distance_mm: int) -> None:
     robot = scene.sim.robot
     robot.state = msgspec.structs.replace(robot.state, human_distance_mm=distance_mm)
     robot.pause(100)

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 from authguard_r.core.errors import MalformedError
 from authguard_r.safety.temporal.parse import parse
-from authguard_r.safety.temporal.track import Left, Letter, Track
+from authguard_r.safety.temporal.track import FormulaTrack, Left, Letter
 from fixtures.amount import amount
 
 pytestmark = pytest.mark.skipif(
@@ -52,11 +52,11 @@ letters = st.frozensets(st.sampled_from(NAMES))
 traces = st.lists(letters, min_size=1, max_size=6)
 
 
-def ours(text: str) -> Track:
+def ours(text: str) -> FormulaTrack:
     """Return our track of the formula; one that nothing satisfies is refused, rightly or not."""
     words = {name: f"route contains {name}" for name in NAMES} | {"NEXT": "X", "WEAK": "WX"}
     spaced = text.replace("(", "( ").replace(")", " )").split()
-    return Track(parse(" ".join(words.get(word, word) for word in spaced)), where="rule")
+    return FormulaTrack(parse(" ".join(words.get(word, word) for word in spaced)), where="rule")
 
 
 @cache
@@ -104,7 +104,7 @@ def can_go_on(text: str, trace: list[frozenset[str]]) -> bool:
     return bool(prefix.intersects(automaton))
 
 
-def after(track: Track, trace: list[frozenset[str]]) -> Left:
+def after(track: FormulaTrack, trace: list[frozenset[str]]) -> Left:
     left = track.start
     for one in trace:
         held = (n for n, atom in enumerate(track.atoms) if atom.value in one)

@@ -11,9 +11,9 @@ from authguard_r.safety.temporal.parse import parse
 from authguard_r.safety.temporal.track import (
     ANYTHING,
     NOTHING,
+    FormulaTrack,
     Left,
     Letter,
-    Track,
     spelled,
     unknown_atoms,
 )
@@ -22,13 +22,15 @@ from fixtures.cases import case
 A, B = "route contains a", "route contains b"
 
 
-def track(text: str) -> Track:
+def track(text: str) -> FormulaTrack:
     """Return the track of a formula in which `a` and `b` stand for two atoms."""
     words = {"a": A, "b": B}
-    return Track(parse(" ".join(words.get(word, word) for word in text.split())), where="rule")
+    return FormulaTrack(
+        parse(" ".join(words.get(word, word) for word in text.split())), where="rule"
+    )
 
 
-def letter(here: Track, holding: str, unknown: str = "") -> Letter:
+def letter(here: FormulaTrack, holding: str, unknown: str = "") -> Letter:
     numbers = {atom.value: number for number, atom in enumerate(here.atoms)}
     return Letter(
         frozenset(numbers[name] for name in holding if name in numbers),
@@ -36,7 +38,7 @@ def letter(here: Track, holding: str, unknown: str = "") -> Letter:
     )
 
 
-def left(text: str, *trace: str) -> tuple[Track, Left]:
+def left(text: str, *trace: str) -> tuple[FormulaTrack, Left]:
     here = track(text)
     found = here.start
     for holding in trace:
@@ -124,20 +126,20 @@ def test_values_of_one_field_exclude_each_other() -> None:
     """Nobody waits for an action that is two things at once."""
     both = "F (type = p & type = q)"
     with pytest.raises(MalformedError, match="no action could ever"):
-        Track(parse(both), where="rule")
+        FormulaTrack(parse(both), where="rule")
     for text in (
         "G (params.v <= 4 & params.v > 6 | type = p)",
         "G (state.a = true & state.a = false | type = p)",
         "G (state.a = 3 & state.a <= 2 | type = p)",
     ):
-        here = Track(parse(text), where="rule")
+        here = FormulaTrack(parse(text), where="rule")
         # only by `type = p` does it live on
         number = here.atoms.index(parse("type = p").atom)
         assert not here.can_hold(here.after(here.start, Letter(frozenset())))
         assert here.can_hold(here.after(here.start, Letter(frozenset({number}))))
-    apart = Track(parse("F (params.v >= 4 & params.v < 6 & params.v != 4)"), where="rule")
+    apart = FormulaTrack(parse("F (params.v >= 4 & params.v < 6 & params.v != 4)"), where="rule")
     assert apart.can_hold(apart.start)
-    other = Track(parse("F (state.a != open & state.a != shut)"), where="rule")
+    other = FormulaTrack(parse("F (state.a != open & state.a != shut)"), where="rule")
     assert other.can_hold(other.start)
 
 
@@ -205,13 +207,15 @@ def test_ways_are_spelled_in_one_order() -> None:
 )
 def test_a_rule_that_grows_is_no_rule(text: str, bound: str) -> None:
     with pytest.raises(MalformedError, match=bound) as refused:
-        Track(parse(text), where="rule")
+        FormulaTrack(parse(text), where="rule")
     assert (refused.value.where, str(refused.value.reason)) == ("rule", "INPUT_TOO_LARGE")
 
 
 def test_sixteen_values_of_one_field_are_no_growth() -> None:
     """As many letters as values, not two to their power."""
-    here = Track(parse("G (" + " | ".join(f"type = t{n}" for n in range(16)) + ")"), where="rule")
+    here = FormulaTrack(
+        parse("G (" + " | ".join(f"type = t{n}" for n in range(16)) + ")"), where="rule"
+    )
     assert len(here.atoms) == 16
     assert len(here._letters) == 17
     assert isinstance(here.atoms[0], Atom)

@@ -17,7 +17,7 @@ from authguard_r.anchoring.sealing.sealer import Sealer
 from authguard_r.anchoring.sealing.stored_policy import HELD, hold_policy, newest_keys, policy_of
 from authguard_r.audit.record import BOX, WRAP, Entry, Sealed, append, read_sealed
 from authguard_r.audit.sealed_envelopes import SEALING
-from authguard_r.audit.verify import Row, verify_rows
+from authguard_r.audit.verify import LogRow, verify_rows
 from authguard_r.core.encoding import encode_fast
 from authguard_r.core.errors import AuthenticityError, MalformedError, StoreError
 from authguard_r.core.mission import DataClass
@@ -25,7 +25,7 @@ from authguard_r.core.ports import Turn
 from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.store.memory import MemoryStore
 from authguard_r.store.sqlite import open_store
-from authguard_r.store.transactions import Act
+from authguard_r.store.transactions import Transaction
 from fixtures import scenarios, sealed_logs
 
 SCAN = scenarios.navigate("dock", "pharmacy")
@@ -36,7 +36,7 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "robot.db"
 
 
-def tellings(rows: list[Row]) -> list[Row]:
+def tellings(rows: list[LogRow]) -> list[LogRow]:
     return [row for row in rows if sealed_logs.told(row).kind == SEALING]
 
 
@@ -244,7 +244,7 @@ def test_offline_acts_on_a_store_are_sealed_as_its_gate_did(path: Path) -> None:
     assert b"a word" not in b"".join(row.record + row.sealed for row in sealed_logs.rows_of(path))
 
 
-def _recorded(act: Act, mid: str) -> int:
+def _recorded(act: Transaction, mid: str) -> int:
     return act.record(note(mid, state="a word"))
 
 
@@ -252,7 +252,7 @@ def _recorded(act: Act, mid: str) -> int:
 
 
 @pytest.fixture
-def rows(path: Path) -> list[Row]:
+def rows(path: Path) -> list[LogRow]:
     with sealed_logs.sealing(
         path, sealed_logs.policy(sealed_logs.reader("auditor"), sealed_logs.reader("other"))
     ) as sim:
@@ -261,7 +261,7 @@ def rows(path: Path) -> list[Row]:
     return sealed_logs.rows_of(path)
 
 
-def changed(rows: list[Row], value: Any, name: str = "wrap.region") -> list[Row]:
+def changed(rows: list[LogRow], value: Any, name: str = "wrap.region") -> list[LogRow]:
     """Return the log with something else in the place of the wrapped keys of a class."""
     found = tellings(rows)[0]
     items = read_sealed(found.sealed, where="")
@@ -270,13 +270,13 @@ def changed(rows: list[Row], value: Any, name: str = "wrap.region") -> list[Row]
     return [row if one is found else one for one in rows]
 
 
-def test_a_key_for_which_nothing_was_wrapped_opens_nothing(rows: list[Row]) -> None:
+def test_a_key_for_which_nothing_was_wrapped_opens_nothing(rows: list[LogRow]) -> None:
     ring = KeyRing(sealed_logs.key_of("stranger"))
     assert [ring.opened(row) for row in rows] == rows
     assert ring.records == 0
 
 
-def test_wrapped_keys_of_one_reader_open_for_no_other(rows: list[Row]) -> None:
+def test_wrapped_keys_of_one_reader_open_for_no_other(rows: list[LogRow]) -> None:
     wraps = sealed_logs.values(tellings(rows)[0])[WRAP + "region"]
     mine, other = sealed_logs.key_of("auditor").public.name, sealed_logs.key_of("other").public.name
     by = {wrap["reader"]: wrap for wrap in wraps}
@@ -294,7 +294,7 @@ def test_wrapped_keys_of_one_reader_open_for_no_other(rows: list[Row]) -> None:
     ("value", "name"),
     [("text", "wrap.region"), ([{"reader": "x"}], "wrap.region"), ([], "wrap.nonsense")],
 )
-def test_what_are_no_wrapped_keys_is_refused(rows: list[Row], value: Any, name: str) -> None:
+def test_what_are_no_wrapped_keys_is_refused(rows: list[LogRow], value: Any, name: str) -> None:
     with pytest.raises(MalformedError) as refused:
         sealed_logs.opened(changed(rows, value, name))
     assert "expected wrapped keys" in refused.value.message

@@ -30,7 +30,7 @@ import msgspec
 from authguard_r.access.gate_config import GateConfig, Peer, default_config
 from authguard_r.audit.record import Record, read_record, read_sealed
 from authguard_r.authoring.keys.setup import demo_members, init_folder
-from authguard_r.client.controller import Channel, ControllerDesk, Sent
+from authguard_r.client.controller import ControllerDesk, MessageSource, OutgoingMessage
 from authguard_r.client.handshake import Greeting
 from authguard_r.client.proof import prove
 from authguard_r.core.encoding import Tag, b64, digest_of
@@ -45,13 +45,13 @@ from authguard_r.normalize import Binder
 from authguard_r.normalize.binding import Binding, load_binding
 from authguard_r.safety import EnvelopeGate
 from authguard_r.safety import default_config as default_safety
-from authguard_r.server.event_log import Journal
-from authguard_r.server.fair_queue import Client
-from authguard_r.server.plan_reader import Reader
+from authguard_r.server.event_log import EventLog
+from authguard_r.server.fair_queue import ServedClient
+from authguard_r.server.plan_reader import PlanReader
 from authguard_r.server.recovery import Recovery
 from authguard_r.server.remote_controller import RemoteController, ShadowController
 from authguard_r.server.service import Service
-from authguard_r.server.state_inbox import Inbox
+from authguard_r.server.state_inbox import StateInbox
 from authguard_r.server.streams import Streams
 from authguard_r.server.wiring import assemble
 from authguard_r.sim.body import SymbolicBody
@@ -64,7 +64,6 @@ from authguard_r.store.refusals import RefusalPolicy
 from authguard_r.wire.frames import Frame, FrameReader, frame
 from authguard_r.wire.messages import (
     PROTOCOL,
-    Act,
     Attest,
     ClientRole,
     Hello,
@@ -72,6 +71,7 @@ from authguard_r.wire.messages import (
     Mode,
     Nothing,
     Order,
+    OrderKind,
     Propose,
     Records,
     StopHeard,
@@ -250,7 +250,7 @@ class House:
 
     def _assemble(self, mode: Mode) -> None:
         shadow = mode is Mode.SHADOW
-        self.inbox = Inbox()
+        self.inbox = StateInbox()
         self.remote = (
             None if shadow else RemoteController(renew_within_ms=self.config.renew_within_ms)
         )
@@ -283,7 +283,7 @@ class House:
                 state=lambda: self.gate.enforcer.intake.newest,
             )
             self.remote.admit_with(self.streams.admit)
-        self.reader = Reader(self.site, self.binding, within_s=PATIENCE_S)
+        self.reader = PlanReader(self.site, self.binding, within_s=PATIENCE_S)
         self.recovery = Recovery(self.gate.management)
         self.recovery.begin()
         self._journal = TemporaryFile()  # noqa: SIM115 - closed with the house
@@ -298,7 +298,7 @@ class House:
             controller=self.remote,
             streams=self.streams,
             recovery=self.recovery,
-            journal=Journal(self._journal.fileno()),
+            journal=EventLog(self._journal.fileno()),
         )
 
     @property
@@ -408,9 +408,9 @@ class House:
         )
         welcome = self.controller.got.pop(0)
         proven = prove(welcome, greeting_of(self.folder), nonce=NONCE, now=scenarios.NOW)
-        self._deliver(self.desk.opened(Channel.GATE, proven, self.clock.ms))
+        self._deliver(self.desk.opened(MessageSource.GATE, proven, self.clock.ms))
 
-    def client(self, guest: Guest) -> Client:
+    def client(self, guest: Guest) -> ServedClient:
         """Return a guest as the gate sees it."""
         return next(c for c in self.service._clients if c.role is guest.role)
 
@@ -453,9 +453,9 @@ class House:
             if not came:
                 return
             for item in came:
-                self._deliver(self.desk.handle(Channel.GATE, item, self.clock.ms))
+                self._deliver(self.desk.handle(MessageSource.GATE, item, self.clock.ms))
 
-    def _deliver(self, sent: tuple[Sent, ...]) -> None:
+    def _deliver(self, sent: tuple[OutgoingMessage, ...]) -> None:
         for one in sent:
             assert self.controller is not None
             self.send(self.controller, frame(one.kind, one.id, one.body))
@@ -478,7 +478,7 @@ class House:
         self.mission = mission or self.mission
         token = sign_object(self.mission, Tag.MISSION, self.signer(self.mission.issuer))
         operator = self.enter(ClientRole.OPERATOR, "activates")
-        operator.ask(Kind.ORDER, Order(act=Act.ACTIVATE, token=token))
+        operator.ask(Kind.ORDER, Order(act=OrderKind.ACTIVATE, token=token))
         operator.leave()
         return self.mission
 

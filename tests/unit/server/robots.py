@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from authguard_r.access.gate_config import GateConfig, Peer, default_config
 from authguard_r.authoring.keys.setup import write_revocations
 from authguard_r.keys.certificate import Role, build_authority, build_leaf, build_root
-from authguard_r.operations.checkup import Setup
+from authguard_r.operations.checkup import GateSetup
 from authguard_r.site.model import profile_digest
 from authguard_r.wire.messages import ClientRole, Mode
 from fixtures import scenarios
@@ -54,7 +54,7 @@ def write_key(path: Path, key: Ed25519PrivateKey) -> Path:
 
 def robot(
     tmp_path: Path, *, role: Role = Role.GATE, days: int = 365, list_days: int = 300, **leaf: Any
-) -> Setup:
+) -> GateSetup:
     """Return a safe gate of the courier: trust without keys, its own key apart, store, run."""
     trust, own = tmp_path / "trust", tmp_path / "gate"
     for folder in (trust, own, tmp_path / "store", tmp_path / "run"):
@@ -95,7 +95,7 @@ def robot(
     for path in (trust, own, *trust.rglob("*"), own / "gate.cert.pem", tmp_path / "run"):
         mine(path, 0o755 if path.is_dir() else 0o644)
     mine(tmp_path / "store", 0o700)
-    return Setup(
+    return GateSetup(
         demo=False,
         uid=ME,
         trust=trust,

@@ -21,7 +21,7 @@ from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.server import retention
 from authguard_r.server.remote_controller import EXPLAIN_WITHIN_MS
 from authguard_r.sim.robot import Faults
-from authguard_r.wire.messages import Act, ClientRole, Kind, Mode, Order
+from authguard_r.wire.messages import ClientRole, Kind, Mode, Order, OrderKind
 from fixtures import scenarios
 from unit.server.demo_site import FORBIDDEN, GO, SCAN, Guest, House
 from unit.server.test_rescues import Ward, worlds_mission
@@ -44,7 +44,7 @@ def listen(house: House) -> None:
 
 def command(house: House, verb: Verb) -> None:
     person = house.enter(ClientRole.OPERATOR)
-    person.ask(Kind.ORDER, Order(act=Act.COMMAND, token=house.order(verb)))
+    person.ask(Kind.ORDER, Order(act=OrderKind.COMMAND, token=house.order(verb)))
     person.leave()
     listen(house)
 
@@ -165,7 +165,7 @@ def test_another_mission_asks_anew_at_once() -> None:
         house.activate()
         house.propose(client, FORBIDDEN)
         person = house.enter(ClientRole.OPERATOR)
-        person.ask(Kind.ORDER, Order(act=Act.COMMAND, token=house.order(Verb.COMPLETE)))
+        person.ask(Kind.ORDER, Order(act=OrderKind.COMMAND, token=house.order(Verb.COMPLETE)))
         house.activate(other(mission))
         house.propose(client, FORBIDDEN)  # before the gate has looked again
         listen(house)

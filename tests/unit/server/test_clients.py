@@ -7,7 +7,7 @@ import json
 from typing import Any
 
 from authguard_r.core.identifiers import Identifier
-from authguard_r.server.fair_queue import MOST_SHED, MOST_WAITING, Client, Ring
+from authguard_r.server.fair_queue import MOST_SHED, MOST_WAITING, FairQueue, ServedClient
 from authguard_r.wire.frames import Frame, FrameReader
 from authguard_r.wire.messages import ClientRole, Fault, Kind
 
@@ -36,20 +36,20 @@ class Tape:
         self.dropped = why
 
 
-def client(name: str = "one", role: ClientRole = ClientRole.PLANNER) -> tuple[Client, Tape]:
+def client(name: str = "one", role: ClientRole = ClientRole.PLANNER) -> tuple[ServedClient, Tape]:
     line = Tape()
-    return Client(line, role=role, name=Identifier(name), uid=1), line
+    return ServedClient(line, role=role, name=Identifier(name), uid=1), line
 
 
 def ask(number: int = 1, kind: Kind = Kind.OBSERVE) -> Frame:
     return Frame(kind, number, b"{}")
 
 
-def ring(shed: list[Any] | None = None) -> Ring:
-    return Ring((shed if shed is not None else []).append)
+def ring(shed: list[Any] | None = None) -> FairQueue:
+    return FairQueue((shed if shed is not None else []).append)
 
 
-def served(turns: Ring) -> list[tuple[str, int]]:
+def served(turns: FairQueue) -> list[tuple[str, int]]:
     """Return everything that waits, in the order in which it is served."""
     found = []
     while turns:
@@ -90,7 +90,7 @@ def test_what_keeps_the_robot_safe_goes_first_and_starves_nobody() -> None:
 
 
 def test_a_second_proposal_is_shed_by_its_header_and_the_client_may_go_on_afterwards() -> None:
-    shed: list[Client] = []
+    shed: list[ServedClient] = []
     turns, (one, line) = ring(shed), client()
     turns.came(one, ask(1, Kind.PROPOSE))
     turns.came(one, Frame(Kind.PROPOSE, 2, b"\xff not even JSON"))
@@ -108,7 +108,7 @@ def test_a_second_proposal_is_shed_by_its_header_and_the_client_may_go_on_afterw
 
 
 def test_a_proposal_of_a_client_that_is_gone_is_shed_without_an_answer() -> None:
-    shed: list[Client] = []
+    shed: list[ServedClient] = []
     turns, (one, line) = ring(shed), client()
     turns.came(one, ask(1, Kind.PROPOSE))
     one.gone = True

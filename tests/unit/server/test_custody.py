@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from authguard_r.operations.checkup.advice import Code, Level
+from authguard_r.operations.checkup.advice import AdviceCode, Level
 from authguard_r.operations.checkup.custody import (
     file_advice,
     folder_advice,
@@ -30,7 +30,7 @@ def key(tmp_path: Path) -> Path:
 
 def test_a_key_of_its_user_alone_is_fine(key: Path) -> None:
     (found,) = key_advice(key, uid=ME)
-    assert (found.level, found.code) == (Level.OK, Code.KEY_MODE)
+    assert (found.level, found.code) == (Level.OK, AdviceCode.KEY_MODE)
     assert list(key_advice(key, uid=None)) == []
 
 
@@ -38,22 +38,22 @@ def test_a_key_of_its_user_alone_is_fine(key: Path) -> None:
 def test_a_key_that_others_can_touch_is_unsafe(key: Path, mode: int) -> None:
     key.chmod(mode)
     (found,) = key_advice(key, uid=ME)
-    assert (found.level, found.code) == (Level.UNSAFE, Code.KEY_MODE)
+    assert (found.level, found.code) == (Level.UNSAFE, AdviceCode.KEY_MODE)
     assert found.mend == f"chmod 600 {key}"
     (found,) = key_advice(key, uid=None)
-    assert found.code is Code.KEY_MODE
+    assert found.code is AdviceCode.KEY_MODE
 
 
 def test_a_key_of_another_user_is_unsafe(key: Path) -> None:
     (found,) = key_advice(key, uid=ME + 1)
-    assert (found.level, found.code) == (Level.UNSAFE, Code.KEY_OWNER)
+    assert (found.level, found.code) == (Level.UNSAFE, AdviceCode.KEY_OWNER)
 
 
 def test_a_key_that_is_not_there_is_said(tmp_path: Path) -> None:
     (found,) = key_advice(tmp_path / "none", uid=ME)
-    assert (found.level, found.code) == (Level.UNSAFE, Code.MISSING)
+    assert (found.level, found.code) == (Level.UNSAFE, AdviceCode.MISSING)
     (found,) = file_advice("x", tmp_path / "none", uid=ME)
-    assert found.code is Code.MISSING
+    assert found.code is AdviceCode.MISSING
 
 
 def test_a_file_that_others_can_write_is_unsafe(tmp_path: Path) -> None:
@@ -62,9 +62,9 @@ def test_a_file_that_others_can_write_is_unsafe(tmp_path: Path) -> None:
     assert list(file_advice("site", mine(path, 0o644), uid=ME)) == []
     for mode in (0o646, 0o664, 0o666):
         (found,) = file_advice("site", mine(path, mode), uid=ME)
-        assert (found.level, found.code) == (Level.UNSAFE, Code.WRITABLE)
+        assert (found.level, found.code) == (Level.UNSAFE, AdviceCode.WRITABLE)
     (found,) = file_advice("site", mine(path, 0o644), uid=ME, secret=True)
-    assert (found.level, found.code) == (Level.WARNING, Code.READABLE)
+    assert (found.level, found.code) == (Level.WARNING, AdviceCode.READABLE)
     assert list(file_advice("site", mine(path, 0o600), uid=ME, secret=True)) == []
 
 
@@ -77,7 +77,7 @@ def test_the_group_of_root_is_roots_and_a_file_of_another_user_is_anothers(tmp_p
     assert list(file_advice("site", path, uid=ME)) == []
     os.chown(path, ME + 1, 0)
     (found,) = file_advice("site", path, uid=ME)
-    assert (found.level, found.code) == (Level.UNSAFE, Code.OWNER)
+    assert (found.level, found.code) == (Level.UNSAFE, AdviceCode.OWNER)
 
 
 def test_a_folder_above_in_which_others_can_swap_things_is_unsafe(tmp_path: Path) -> None:
@@ -88,7 +88,7 @@ def test_a_folder_above_in_which_others_can_swap_things_is_unsafe(tmp_path: Path
     assert list(folder_advice([deep / "key"], uid=ME)) == []
     (tmp_path / "a").chmod(0o777)
     (found,) = folder_advice([deep / "key", deep / "cert"], uid=ME)
-    assert (found.code, found.place) == (Code.WRITABLE, str(tmp_path / "a"))
+    assert (found.code, found.place) == (AdviceCode.WRITABLE, str(tmp_path / "a"))
     # with the sticky bit nobody touches what another put there
     (tmp_path / "a").chmod(0o1777)
     assert list(folder_advice([deep / "key"], uid=ME)) == []
@@ -120,7 +120,11 @@ def test_every_other_private_key_is_a_stray(tmp_path: Path, key: Path) -> None:
     other = write_key(nested / "notes.txt", Ed25519PrivateKey.generate())
     (tmp_path / "public.pem").write_text("-----BEGIN CERTIFICATE-----")
     (found,) = stray_advice([tmp_path, nested], own=key, uid=ME)
-    assert (found.level, found.code, found.place) == (Level.UNSAFE, Code.STRAY_KEY, str(other))
+    assert (found.level, found.code, found.place) == (
+        Level.UNSAFE,
+        AdviceCode.STRAY_KEY,
+        str(other),
+    )
     assert "nothing here says" in found.message
 
 

@@ -9,16 +9,15 @@ import msgspec
 import pytest
 
 from authguard_r.approvals import Selection
-from authguard_r.core.approval import Approval, Verdict
+from authguard_r.core.approval import Approval, ApprovalVerdict
 from authguard_r.core.encoding import Tag, b64, digest_of, encode_fast
 from authguard_r.core.token import sign_object
 from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.server.plans import PART
-from authguard_r.server.queries import View
+from authguard_r.server.queries import GateQueries
 from authguard_r.sim.robot import snapshot_of
 from authguard_r.wire.frames import Frame, raw_frame
 from authguard_r.wire.messages import (
-    Act,
     Attest,
     Begun,
     ClientRole,
@@ -27,6 +26,7 @@ from authguard_r.wire.messages import (
     Mode,
     Observe,
     Order,
+    OrderKind,
     Propose,
     Sample,
     Stood,
@@ -37,7 +37,7 @@ from unit.server.demo_site import FORBIDDEN, GO, SCAN, Guest, House, Refused, re
 TICKET = "A" * 43
 
 
-def order(house: House, act: Act, token: bytes) -> dict[str, Any]:
+def order(house: House, act: OrderKind, token: bytes) -> dict[str, Any]:
     operator = house.enter(ClientRole.OPERATOR)
     answer = operator.ask(Kind.ORDER, Order(act=act, token=token))
     operator.leave()
@@ -134,7 +134,7 @@ def test_every_order_is_the_signature_of_its_token_not_the_role_that_hands_it_in
         operator = house.enter(ClientRole.OPERATOR)
         forged = sign_object(scenarios.mission(), Tag.MISSION, house.signer("supervisor-1"))
         with pytest.raises(Refused) as refused:
-            operator.ask(Kind.ORDER, Order(act=Act.ACTIVATE, token=forged))
+            operator.ask(Kind.ORDER, Order(act=OrderKind.ACTIVATE, token=forged))
         assert (refused.value.code, refused.value.family) == ("ROLE_DENIED", "authenticity")
         assert house.standing is None
         house.activate()
@@ -147,7 +147,7 @@ def test_a_command_ends_what_runs_at_once() -> None:
         house.activate()
         number = house.begin(planner, GO)
         house.advance(500)
-        answer = order(house, Act.COMMAND, house.order(Verb.REVOKE))
+        answer = order(house, OrderKind.COMMAND, house.order(Verb.REVOKE))
         assert answer["standing"]["status"] == "revoked"
         house.pump()
         (step,) = house.rest(planner, number)["steps"]
@@ -168,9 +168,9 @@ def test_a_choice_is_handed_in() -> None:
             issued_ms=house.clock.wall_ms(),
         )
         token = sign_object(value, Tag.SELECTION, house.signer("operator-1"))
-        assert "standing" in order(house, Act.SELECT, token)
+        assert "standing" in order(house, OrderKind.SELECT, token)
         with pytest.raises(Refused, match="EXPIRED"):
-            order(house, Act.SELECT, token)
+            order(house, OrderKind.SELECT, token)
 
 
 def test_an_approval_is_kept_and_says_which_question_it_answers() -> None:
@@ -187,14 +187,14 @@ def test_an_approval_is_kept_and_says_which_question_it_answers() -> None:
             "counter": 1,
             "scope": TICKET,
             "situation": TICKET,
-            "verdict": Verdict.APPROVE,
+            "verdict": ApprovalVerdict.APPROVE,
             "expires_ms": scenarios.START_MS + 60_000,
             "rid": scenarios.RID,
         }
         known = {f.name for f in msgspec.structs.fields(Approval)}
         value = Approval(**{k: v for k, v in fields.items() if k in known})
         token = sign_object(value, Tag.APPROVAL, house.signer("supervisor-1"))
-        answer = order(house, Act.APPROVE, token)
+        answer = order(house, OrderKind.APPROVE, token)
         said = {"counter": 1, "approver": "supervisor-1", "verdict": "approve"}
         assert answer == {**said, "why_not": "APPROVAL_TIMEOUT"}  # nobody was asked
         told = watcher.bodies(Kind.EVENT, number)
@@ -203,17 +203,17 @@ def test_an_approval_is_kept_and_says_which_question_it_answers() -> None:
 
 def test_a_template_is_taken_in_and_withdrawn_with_the_mission_that_it_made() -> None:
     with House(robot=False, trust=templates.one_folder()) as house:
-        kept = order(house, Act.TEMPLATE, templates.signed())["standing"]
+        kept = order(house, OrderKind.TEMPLATE, templates.signed())["standing"]
         assert (kept["used"], kept["withdrawn"]) == (0, False)
-        made = order(house, Act.ACTIVATE, templates.token())["standing"]
+        made = order(house, OrderKind.ACTIVATE, templates.token())["standing"]
         assert made["status"] == "active"
         auditor = house.enter(ClientRole.AUDITOR)
         assert auditor.ask(Kind.STATUS)["mission"]["mid"] == made["mid"]
-        gone = order(house, Act.TEMPLATE, templates.withdrawal())["standing"]
+        gone = order(house, OrderKind.TEMPLATE, templates.withdrawal())["standing"]
         assert gone["withdrawn"] is True
         assert auditor.ask(Kind.STATUS)["mission"] is None
         with pytest.raises(Refused):
-            order(house, Act.TEMPLATE, templates.signed())
+            order(house, OrderKind.TEMPLATE, templates.signed())
 
 
 def test_an_order_that_is_refused_looks_at_what_runs_all_the_same() -> None:
@@ -223,7 +223,7 @@ def test_an_order_that_is_refused_looks_at_what_runs_all_the_same() -> None:
         number = house.begin(planner, GO)
         house.clock.ms += 10_000  # nobody attested anything for as long
         with pytest.raises(Refused):
-            order(house, Act.COMMAND, b"junk")
+            order(house, OrderKind.COMMAND, b"junk")
         house.pump()
         assert reasons(house.rest(planner, number)["steps"][0])[0] == "STATE_STALE"
 
@@ -274,11 +274,11 @@ def test_who_watches_is_told_of_decisions_outcomes_stops_orders_and_clients() ->
 
 def test_a_view_knows_of_the_mission_after_each_order() -> None:
     with House(robot=False) as house:
-        view: View = house.service.view
+        view: GateQueries = house.service.view
         assert view.has_mission is False
         house.activate()
         assert view.has_mission is True
-        order(house, Act.COMMAND, house.order(Verb.SUSPEND))
+        order(house, OrderKind.COMMAND, house.order(Verb.SUSPEND))
         assert view.has_mission is False
 
 

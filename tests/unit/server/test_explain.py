@@ -17,7 +17,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.server.explanation import explanation
 from authguard_r.server.remediation import _ANSWERS, EMERGENCY_MENDS, MENDS, mends_of
-from authguard_r.wire.messages import Act, ClientRole, Explain, Kind, Observe, Order
+from authguard_r.wire.messages import ClientRole, Explain, Kind, Observe, Order, OrderKind
 from fixtures import scenarios
 from unit.server.demo_site import FORBIDDEN, GO, SCAN, UNREADABLE, Guest, House, Refused
 from unit.server.test_rescues import Ward
@@ -166,7 +166,7 @@ def test_a_mission_that_is_gone_leaves_a_record_explained_without_a_change() -> 
         house.propose(planner, FAST)
         seq = next(r for r in house.log("decision")).link.seq
         operator = house.enter(ClientRole.OPERATOR)
-        operator.ask(Kind.ORDER, Order(act=Act.COMMAND, token=house.order(Verb.REVOKE)))
+        operator.ask(Kind.ORDER, Order(act=OrderKind.COMMAND, token=house.order(Verb.REVOKE)))
         house.gate.enforcer.intake.forget()
         held = house.gate.ledger.store._held  # type: ignore[attr-defined]
         for key in [key for key in held if key[0] == "token"]:
@@ -180,7 +180,7 @@ def test_the_last_refusal_is_the_planners_whatever_others_asked_wrongly_meanwhil
         house.activate()
         house.propose(planner, FAST)
         operator = house.enter(ClientRole.OPERATOR)
-        for act in (Act.ACTIVATE, Act.COMMAND):
+        for act in (OrderKind.ACTIVATE, OrderKind.COMMAND):
             with pytest.raises(Refused):
                 operator.ask(Kind.ORDER, Order(act=act, token=b"nonsense"))
         assert house.log("refusal")

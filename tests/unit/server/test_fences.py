@@ -14,7 +14,7 @@ import pytest
 from authguard_r.core.standing import Outcome
 from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.sim.robot import Faults
-from authguard_r.wire.messages import Act, ClientRole
+from authguard_r.wire.messages import ClientRole, OrderKind
 from unit.server.demo_site import GO, SCAN, Guest, House
 from unit.server.test_desk import order
 from unit.server.test_motions import walking
@@ -58,7 +58,7 @@ def test_state_from_before_a_resume_counts_for_nothing() -> None:
         house.activate()
         house.stop(ClientRole.OPERATOR, 1)
         with deaf(house):
-            assert order(house, Act.COMMAND, house.order(Verb.RESUME))["standing"]
+            assert order(house, OrderKind.COMMAND, house.order(Verb.RESUME))["standing"]
             assert decided(house, planner) == ["STATE_BEFORE_MOTION"]
         assert decided(house, planner) == []
 
@@ -73,7 +73,7 @@ def test_state_from_before_a_resolve_counts_for_nothing() -> None:
         settled = {"ticket": release.ticket, "outcome": Outcome.ABORTED}
         with deaf(house):
             before = decided(house, planner, GO)
-            order(house, Act.COMMAND, house.order(Verb.RESOLVE, **settled))
+            order(house, OrderKind.COMMAND, house.order(Verb.RESOLVE, **settled))
             after = decided(house, planner, GO)
         assert "STATE_BEFORE_MOTION" not in before
         assert "STATE_BEFORE_MOTION" in after

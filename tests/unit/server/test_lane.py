@@ -22,12 +22,12 @@ from authguard_r.estop.protocol import (
     MAX_OUT,
     MOST_PEERS,
     WHOLE_WITHIN_MS,
-    Desk,
     Dropped,
-    Peer,
+    EStopDispatcher,
+    EStopPeer,
 )
-from authguard_r.estop.stop_queue import FIRST_WINDOW, MOST_FIRST, WINDOW, Journal
-from authguard_r.estop.stops import PATIENCE_MS, REPEAT_MS, Brake, Stops
+from authguard_r.estop.stop_queue import FIRST_WINDOW, MOST_FIRST, WINDOW, Backlog
+from authguard_r.estop.stops import PATIENCE_MS, REPEAT_MS, ControllerConnection, Stops
 from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.frames import FrameReader, frame, raw_frame, read_body
@@ -48,45 +48,47 @@ CONFIG = estop_fixtures.config(
 class World:
     """One desk and its time; says what each client was sent."""
 
-    def __init__(self, config: Any = CONFIG, journal: Journal | None = None) -> None:
+    def __init__(self, config: Any = CONFIG, journal: Backlog | None = None) -> None:
         self.ms = 5_000
-        self.journal = journal if journal is not None else Journal(EPOCH)
+        self.journal = journal if journal is not None else Backlog(EPOCH)
         signer = folder_signer(scenarios.trust_folder(), f"gate-{scenarios.RID}")
-        self.desk = Desk(scenarios.RID, config, own_uid=ME, signer=signer, journal=self.journal)
+        self.desk = EStopDispatcher(
+            scenarios.RID, config, own_uid=ME, signer=signer, journal=self.journal
+        )
 
     @property
     def now(self) -> Now:
         return Now(1_000_000 + self.ms, self.ms)
 
-    def open(self, uid: int) -> Peer:
+    def open(self, uid: int) -> EStopPeer:
         return self.desk.open(uid, self.now)
 
-    def join(self, uid: int, role: ClientRole, client: str | None = None) -> Peer:
+    def join(self, uid: int, role: ClientRole, client: str | None = None) -> EStopPeer:
         peer = self.open(uid)
         self.say(peer, Kind.HELLO, hello(role, client or str(role)))
         kinds = [kind for kind, _, _ in said(peer)]
         assert kinds[0] is Kind.WELCOME, (kinds, self.desk.dropped)
         return peer
 
-    def robot(self) -> Peer:
+    def robot(self) -> EStopPeer:
         return self.join(DRIVER, ClientRole.CONTROLLER)
 
-    def robot_unseen(self) -> Peer:
+    def robot_unseen(self) -> EStopPeer:
         """Return a controller with everything that it was sent since it came."""
         peer = self.open(DRIVER)
         self.say(peer, Kind.HELLO, hello(ClientRole.CONTROLLER, "robot"))
         return peer
 
-    def planner(self, client: str = "planner") -> Peer:
+    def planner(self, client: str = "planner") -> EStopPeer:
         return self.join(PLANNER, ClientRole.PLANNER, client)
 
-    def say(self, peer: Peer, kind: Kind, body: object, number: int = 0) -> None:
+    def say(self, peer: EStopPeer, kind: Kind, body: object, number: int = 0) -> None:
         self.desk.received(peer, frame(kind, number, body), self.now)
 
-    def stop(self, peer: Peer, number: int = 1, why: str = "") -> None:
+    def stop(self, peer: EStopPeer, number: int = 1, why: str = "") -> None:
         self.say(peer, Kind.STOP, {"why": why}, number)
 
-    def stand(self, peer: Peer, number: int, stops: int = 1) -> None:
+    def stand(self, peer: EStopPeer, number: int, stops: int = 1) -> None:
         self.say(peer, Kind.STOOD, {"stops": stops, "life": 8}, number)
 
     def later(self, ms: int) -> None:
@@ -98,14 +100,14 @@ def hello(role: ClientRole, client: str, nonce: str | None = None) -> dict[str, 
     return {"protocol": PROTOCOL, "role": role, "client": client, "nonce": nonce}
 
 
-def said(peer: Peer) -> list[tuple[Kind, int, Any]]:
+def said(peer: EStopPeer) -> list[tuple[Kind, int, Any]]:
     """Return what the client was sent since the last look."""
     frames = FrameReader(lambda kind: 1 << 20).feed(bytes(peer.out))
     peer.out.clear()
     return [(item.kind, item.id, json.loads(item.body)) for item in frames]
 
 
-def halts(peer: Peer) -> list[int]:
+def halts(peer: EStopPeer) -> list[int]:
     return [number for kind, number, _ in said(peer) if kind is Kind.HALT]
 
 
@@ -113,7 +115,7 @@ def reply(stopped: bool, controller: bool, after_ms: int) -> dict[str, Any]:
     return {"stopped": stopped, "controller": controller, "after_ms": after_ms}
 
 
-def code(peer: Peer) -> tuple[str, str]:
+def code(peer: EStopPeer) -> tuple[str, str]:
     """Return why the lane ended this connection."""
     kind, number, fault = said(peer)[-1]
     assert (kind, number) == (Kind.ERROR, 0)
@@ -312,7 +314,7 @@ def test_every_stop_is_answered_once_in_order_and_confirmed_only_by_a_later_halt
     answered: set[int] = set()
     over: list[Any] = []
     now, made = 0, 0
-    brake = Brake(sent.append, lambda: True)
+    brake = ControllerConnection(sent.append, lambda: True)
     stops.join(brake, now)
     for step in steps:
         if step.startswith("stop"):
@@ -514,13 +516,13 @@ def test_a_client_that_ends_before_its_proof_is_made_costs_none() -> None:
 # the gate
 
 
-def gate(world: World) -> Peer:
+def gate(world: World) -> EStopPeer:
     peer = world.open(ME)
     world.say(peer, Kind.HELLO, hello(ClientRole.GATE, "gate"))
     return peer
 
 
-def told(peer: Peer) -> list[int]:
+def told(peer: EStopPeer) -> list[int]:
     return [body["n"] for kind, _, body in said(peer) if kind is Kind.EVENT]
 
 
@@ -574,13 +576,13 @@ def test_a_gate_that_has_recorded_what_was_never_sent_is_not_believed(n: int) ->
     assert code(listening) == ("MALFORMED", "heard.n")
 
 
-def hear(world: World, listening: Peer, numbers: Iterable[int]) -> None:
+def hear(world: World, listening: EStopPeer, numbers: Iterable[int]) -> None:
     for n in numbers:
         world.say(listening, Kind.HEARD, {"n": n})
 
 
 def test_an_operator_s_stop_among_a_hundred_thousand_of_planners_is_sent_first() -> None:
-    journal = Journal(EPOCH)
+    journal = Backlog(EPOCH)
     for n in range(1, 100_001):
         role = ClientRole.OPERATOR if n == 50_000 else ClientRole.PLANNER
         journal.add(heard(n, role=role, uid=PLANNER + n % 3))
@@ -609,7 +611,7 @@ def test_an_operator_s_stop_is_sent_although_the_others_fill_their_window() -> N
 
 
 def test_no_other_stop_is_sent_before_every_operator_s_is() -> None:
-    journal = Journal(EPOCH)
+    journal = Backlog(EPOCH)
     journal.add(heard(1))
     for n in range(2, FIRST_WINDOW + 4):
         journal.add(heard(n, role=ClientRole.OPERATOR))
@@ -626,14 +628,14 @@ def test_no_other_stop_is_sent_before_every_operator_s_is() -> None:
 
 def test_operators_stops_beyond_what_can_be_kept_are_counted_with_an_operator_s() -> None:
     known = (heard(n, role=ClientRole.OPERATOR) for n in range(1, MOST_FIRST + 3))
-    journal = Journal(EPOCH, tuple(known))
+    journal = Backlog(EPOCH, tuple(known))
     assert len(journal) == MOST_FIRST
     journal.add(heard(journal.next_n, role=ClientRole.OPERATOR))
     assert [(stop.n, stop.more) for stop in journal.first.to_spool()] == [(MOST_FIRST, 3)]
 
 
 def test_what_is_folded_says_what_is_true_of_all_and_is_not_changed_once_it_was_sent() -> None:
-    journal = Journal(EPOCH)
+    journal = Backlog(EPOCH)
     for n in range(1, WINDOW + 1):
         journal.add(heard(n))
     add = [(5, 7), (9, 8), (4, None), (None, None), (3, 9)]
@@ -654,20 +656,20 @@ def test_what_is_folded_says_what_is_true_of_all_and_is_not_changed_once_it_was_
 
 
 def test_a_new_lane_counts_each_stop_that_it_was_left_once() -> None:
-    old = Journal(1)
+    old = Backlog(1)
     for n in range(1, WINDOW + 10):
         old.add(heard(n))
     left = tuple(old.others.to_spool())
-    new = Journal(2, left)
+    new = Backlog(2, left)
     assert not new.others.is_fresh
     new.add(heard(new.next_n, epoch=2))
     new.add(heard(new.next_n, epoch=2))
     assert [(stop.epoch, stop.more) for stop in new.others.to_spool()] == [(2, 1)]
-    again = Journal(3, (*left, *new.others.to_spool()))
+    again = Backlog(3, (*left, *new.others.to_spool()))
     assert sum(1 + stop.more for stop in sent_by(again)) == WINDOW + 11
 
 
-def sent_by(journal: Journal) -> list[StopHeard]:
+def sent_by(journal: Backlog) -> list[StopHeard]:
     """Return everything that a gate is sent that hears each."""
     every: list[StopHeard] = []
     while sent := journal.to_send():
@@ -685,7 +687,7 @@ def sent_by(journal: Journal) -> list[StopHeard]:
 def test_whatever_happens_every_stop_is_told_and_every_operator_s_by_itself(
     steps: list[str],
 ) -> None:
-    journal, asked, waiting = Journal(1), Counter[str](), list[StopHeard]()
+    journal, asked, waiting = Backlog(1), Counter[str](), list[StopHeard]()
     recorded: dict[tuple[int, int], StopHeard] = {}
     for step in steps:
         if step in {"operator", "planner", "auditor"}:
@@ -705,7 +707,7 @@ def test_whatever_happens_every_stop_is_told_and_every_operator_s_by_itself(
             journal.begin()
             left = (*journal.first._unsent.values(), *journal.others._unsent.values())
             known = tuple(sorted(left, key=lambda stop: stop.n))
-            journal, waiting = Journal(journal.epoch + 1, known), []
+            journal, waiting = Backlog(journal.epoch + 1, known), []
     for stop in (*waiting, *sent_by(journal)):
         recorded[stop.epoch, stop.n] = stop
     told = Counter[str]()
@@ -718,7 +720,7 @@ def test_whatever_happens_every_stop_is_told_and_every_operator_s_by_itself(
 # SYNC
 
 
-def replies(peer: Peer) -> list[int]:
+def replies(peer: EStopPeer) -> list[int]:
     return [number for kind, number, _ in said(peer) if kind is Kind.REPLY]
 
 
@@ -749,7 +751,7 @@ def test_a_sync_waits_for_the_stops_that_came_before_it_and_for_none_that_came_l
 
 def test_a_sync_waits_until_every_operator_s_stop_was_sent() -> None:
     known = tuple(heard(n, role=ClientRole.OPERATOR) for n in range(1, FIRST_WINDOW + 2))
-    world = World(journal=Journal(EPOCH, known))
+    world = World(journal=Backlog(EPOCH, known))
     listening = gate(world)
     assert len(told(listening)) == FIRST_WINDOW
     world.say(listening, Kind.SYNC, {}, 1)
@@ -782,7 +784,7 @@ def test_a_gate_that_is_not_welcomed_yet_has_no_answer() -> None:
 def test_the_gate_may_be_sent_more_at_once_than_a_client_and_has_a_bound_too() -> None:
     long = {"role": ClientRole.OPERATOR, "why": "\x01" * 200}
     known = tuple(heard(n, **long) for n in range(1, FIRST_WINDOW + 1))
-    world = World(journal=Journal(EPOCH, known))
+    world = World(journal=Backlog(EPOCH, known))
     listening = gate(world)
     assert MAX_OUT < len(listening.out) < MAX_GATE_OUT
     number = 0
@@ -811,7 +813,7 @@ def names(stops: Iterable[StopHeard]) -> list[tuple[int, int]]:
 
 
 def test_a_new_lane_s_stops_have_another_name_than_the_old_one_s() -> None:
-    world = World(journal=Journal(EPOCH, (heard(3), heard(4))))
+    world = World(journal=Backlog(EPOCH, (heard(3), heard(4))))
     world.stop(world.planner())
     listening = gate(world)
     events = [body for kind, _, body in said(listening) if kind is Kind.EVENT]

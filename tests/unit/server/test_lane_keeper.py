@@ -20,10 +20,10 @@ from authguard_r.core.errors import AuthGuardError, EnvironmentFault
 from authguard_r.core.token import sign_object
 from authguard_r.estop import run_folder as lane_place
 from authguard_r.estop import supervisor as lane_keeper
-from authguard_r.estop.connection import LaneLink
+from authguard_r.estop.connection import EStopConnection
 from authguard_r.estop.run_folder import PID, SOCKET
-from authguard_r.estop.startup import LaneFiles
-from authguard_r.estop.supervisor import LaneKeeper
+from authguard_r.estop.startup import EStopFiles
+from authguard_r.estop.supervisor import EStopSupervisor
 from authguard_r.keys.signer import folder_signer
 from authguard_r.wire.messages import ClientRole, StopHeard
 from fixtures import estop_fixtures, scenarios
@@ -56,18 +56,18 @@ class Listener:
 
 
 @pytest.fixture
-def files() -> Iterator[LaneFiles]:
+def files() -> Iterator[EStopFiles]:
     made = estop_fixtures.files()
     yield made
     with suppress(OSError, ValueError):
         os.kill(lane_pid(made), signal.SIGKILL)
 
 
-def lane_pid(files: LaneFiles) -> int:
+def lane_pid(files: EStopFiles) -> int:
     return int((files.run / PID).read_text())
 
 
-def keeping(keeper: LaneKeeper, work: Callable[[Listener], Awaitable[None]]) -> Listener:
+def keeping(keeper: EStopSupervisor, work: Callable[[Listener], Awaitable[None]]) -> Listener:
     """Keep a lane while something is done."""
     listener = Listener()
 
@@ -90,14 +90,14 @@ async def until(holds: Callable[[], object]) -> None:
         await asyncio.sleep(0.01)
 
 
-def stop(files: LaneFiles, why: str = "") -> None:
+def stop(files: EStopFiles, why: str = "") -> None:
     hand = estop_fixtures.Client(files.run)
     hand.hello(ClientRole.OPERATOR)
     hand.stop(why)
 
 
-def test_a_lane_that_dies_is_told_of_and_started_again(files: LaneFiles) -> None:
-    keeper = LaneKeeper(files)
+def test_a_lane_that_dies_is_told_of_and_started_again(files: EStopFiles) -> None:
+    keeper = EStopSupervisor(files)
     keeper.start()
     first = lane_pid(files)
 
@@ -121,7 +121,7 @@ def test_a_lane_that_dies_is_told_of_and_started_again(files: LaneFiles) -> None
     assert lane_pid_or_none(files) is None  # what was started here ends with us
 
 
-def lane_pid_or_none(files: LaneFiles) -> int | None:
+def lane_pid_or_none(files: EStopFiles) -> int | None:
     try:
         os.kill(lane_pid(files), 0)
     except (OSError, ValueError):
@@ -130,9 +130,9 @@ def lane_pid_or_none(files: LaneFiles) -> int | None:
 
 
 def test_the_lane_is_told_that_a_stop_was_heard_only_when_it_has_taken_its_effect(
-    files: LaneFiles,
+    files: EStopFiles,
 ) -> None:
-    keeper = LaneKeeper(files)
+    keeper = EStopSupervisor(files)
     keeper.start()
 
     async def owed(listener: Listener) -> None:
@@ -165,9 +165,9 @@ async def owed_again(listener: Listener) -> None:
 
 
 def test_a_lane_that_serves_answers_that_everything_was_told_and_none_is_nobody_to_ask(
-    files: LaneFiles,
+    files: EStopFiles,
 ) -> None:
-    keeper = LaneKeeper(files)
+    keeper = EStopSupervisor(files)
     answered: list[bool] = []
     assert keeper.sync(lambda: answered.append(True)) is False
     keeper.start()
@@ -186,11 +186,11 @@ def test_a_lane_that_serves_answers_that_everything_was_told_and_none_is_nobody_
 
 
 def test_a_lane_that_hangs_is_told_of_once_and_is_there_again_when_it_answers(
-    files: LaneFiles, monkeypatch: pytest.MonkeyPatch
+    files: EStopFiles, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A process that is held stays connected: nobody could stop by it, and nobody would know."""
     monkeypatch.setattr(lane_keeper, "REPLACED", 1_000_000)
-    keeper = LaneKeeper(files)
+    keeper = EStopSupervisor(files)
     assert not keeper.alive
     keeper.start()
     seen: list[bool] = []
@@ -217,15 +217,15 @@ def test_a_lane_that_hangs_is_told_of_once_and_is_there_again_when_it_answers(
 
 
 def test_what_a_lane_is_asked_before_its_welcome_waits_for_it_and_ends_nothing(
-    files: LaneFiles,
+    files: EStopFiles,
 ) -> None:
-    keeper = LaneKeeper(files)
+    keeper = EStopSupervisor(files)
     keeper.start()
     answered: list[int] = []
     lost: list[AuthGuardError | None] = []
 
     async def ask() -> None:
-        link = LaneLink(files.run / SOCKET, lambda _: None, lost.append)
+        link = EStopConnection(files.run / SOCKET, lambda _: None, lost.append)
         await link.connect()
         for number in range(3):
             link.sync(partial(answered.append, number))
@@ -243,8 +243,8 @@ def test_what_a_lane_is_asked_before_its_welcome_waits_for_it_and_ends_nothing(
     assert answered == [0, 1, 2]
 
 
-def test_a_lane_that_hangs_counts_as_gone_at_once_and_is_replaced(files: LaneFiles) -> None:
-    keeper = LaneKeeper(files)
+def test_a_lane_that_hangs_counts_as_gone_at_once_and_is_replaced(files: EStopFiles) -> None:
+    keeper = EStopSupervisor(files)
     keeper.start()
     first = lane_pid(files)
     late: list[float] = []
@@ -267,9 +267,9 @@ def test_a_lane_that_hangs_counts_as_gone_at_once_and_is_replaced(files: LaneFil
     assert heard.lost == [None]
 
 
-def test_a_lane_that_cannot_record_a_stop_is_not_replaced(files: LaneFiles) -> None:
+def test_a_lane_that_cannot_record_a_stop_is_not_replaced(files: EStopFiles) -> None:
     """It is silent for the gate's own fault, and what it keeps is the stop that is owed."""
-    keeper = LaneKeeper(files)
+    keeper = EStopSupervisor(files)
     keeper.start()
     first = lane_pid(files)
 
@@ -290,9 +290,9 @@ def test_a_lane_that_cannot_record_a_stop_is_not_replaced(files: LaneFiles) -> N
 
 
 def test_a_lane_of_a_gate_that_was_killed_is_adopted_and_ends_with_the_next(
-    files: LaneFiles,
+    files: EStopFiles,
 ) -> None:
-    killed, heir = LaneKeeper(files), LaneKeeper(files)
+    killed, heir = EStopSupervisor(files), EStopSupervisor(files)
     killed.start()
     for _ in range(3):
         stop(files)
@@ -310,10 +310,10 @@ def test_a_lane_of_a_gate_that_was_killed_is_adopted_and_ends_with_the_next(
 
 @pytest.mark.parametrize("number", [signal.SIGCONT, signal.SIGSTOP])
 def test_a_lane_that_hangs_at_the_end_is_left_behind_no_more_than_one_that_serves(
-    files: LaneFiles, number: signal.Signals, monkeypatch: pytest.MonkeyPatch
+    files: EStopFiles, number: signal.Signals, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(lane_place, "_END_S", 0.5)
-    keeper = LaneKeeper(files)
+    keeper = EStopSupervisor(files)
     keeper.start()
     pid = lane_pid(files)
     os.kill(pid, number)
@@ -321,20 +321,20 @@ def test_a_lane_that_hangs_at_the_end_is_left_behind_no_more_than_one_that_serve
     assert not Path(f"/proc/{pid}").exists()
 
 
-def test_a_lane_that_was_started_by_hand_serves_on(files: LaneFiles) -> None:
+def test_a_lane_that_was_started_by_hand_serves_on(files: EStopFiles) -> None:
     with estop_fixtures.process(files):
-        keeper = LaneKeeper(files)
+        keeper = EStopSupervisor(files)
         keeper.start()
         keeper.end()
         stop(files)
 
 
 def test_a_lane_that_cannot_be_started_is_tried_again_and_the_gate_told(
-    files: LaneFiles, monkeypatch: pytest.MonkeyPatch
+    files: EStopFiles, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(lane_keeper, "RETRY_S", 0.01)
     broken = msgspec.structs.replace(files, key=Path("/nowhere"))
-    keeper = LaneKeeper(broken)
+    keeper = EStopSupervisor(broken)
     with pytest.raises(EnvironmentFault):
         keeper.start()
 
@@ -351,9 +351,9 @@ def test_a_lane_that_cannot_be_started_is_tried_again_and_the_gate_told(
 
 
 def test_a_lane_of_another_configuration_is_retired_and_one_of_this_started(
-    files: LaneFiles,
+    files: EStopFiles,
 ) -> None:
-    old, new = LaneKeeper(files), LaneKeeper(files)
+    old, new = EStopSupervisor(files), EStopSupervisor(files)
     old.start()
     first = lane_pid(files)
     signer = folder_signer(scenarios.trust_folder(), "site-authority-1")
@@ -370,10 +370,10 @@ def test_a_lane_of_another_configuration_is_retired_and_one_of_this_started(
 
 @pytest.mark.parametrize("config", ["another", "gone"])
 def test_a_stale_lane_that_hangs_is_killed_and_another_one_serves(
-    files: LaneFiles, config: str, monkeypatch: pytest.MonkeyPatch
+    files: EStopFiles, config: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(lane_place, "_END_S", 0.5)
-    keeper = LaneKeeper(files)
+    keeper = EStopSupervisor(files)
     keeper.start()
     place = files.run / lane_keeper.CONFIG
     if config == "gone":
@@ -388,16 +388,16 @@ def test_a_stale_lane_that_hangs_is_killed_and_another_one_serves(
 
 
 def test_a_stale_lane_that_does_not_end_is_a_fault(
-    files: LaneFiles, monkeypatch: pytest.MonkeyPatch
+    files: EStopFiles, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whose number nobody knows, nobody can end."""
     monkeypatch.setattr(lane_place, "_END_S", 0.1)
-    keeper = LaneKeeper(files)
+    keeper = EStopSupervisor(files)
     keeper.start()
     (files.run / lane_keeper.CONFIG).write_text("another")
     pid = lane_pid(files)
     (files.run / PID).write_text("nobody")
     with pytest.raises(EnvironmentFault, match="does not end"):
-        LaneKeeper(files).start()
+        EStopSupervisor(files).start()
     (files.run / PID).write_text(str(pid))
     keeper.end()

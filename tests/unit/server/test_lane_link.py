@@ -11,16 +11,16 @@ from msgspec.structs import replace
 
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.estop.connection import _ready, start_lane
-from authguard_r.estop.startup import LaneFiles
+from authguard_r.estop.startup import EStopFiles
 from fixtures import estop_fixtures
 
 
 @pytest.fixture
-def files() -> LaneFiles:
+def files() -> EStopFiles:
     return estop_fixtures.files()
 
 
-def test_a_run_folder_whose_path_is_too_long_is_said_as_the_lane_says_it(files: LaneFiles) -> None:
+def test_a_run_folder_whose_path_is_too_long_is_said_as_the_lane_says_it(files: EStopFiles) -> None:
     long = files.run / ("x" * 100)
     long.mkdir()
     with pytest.raises(EnvironmentFault, match="the stop lane does not serve: ") as fault:

@@ -30,7 +30,7 @@ from authguard_r.core.errors import (
     MalformedError,
 )
 from authguard_r.core.reasons import Reason
-from authguard_r.estop.connection import LaneLink, start_lane
+from authguard_r.estop.connection import EStopConnection, start_lane
 from authguard_r.estop.protocol import MOST_PEERS
 from authguard_r.estop.run_folder import (
     EPOCH,
@@ -42,9 +42,16 @@ from authguard_r.estop.run_folder import (
     leave_place,
     take_place,
 )
-from authguard_r.estop.server import ACCEPTS, Lane
+from authguard_r.estop.server import ACCEPTS, EStopServer
 from authguard_r.estop.spool import MOST_SPOOLED, Spool, left_by, next_epoch
-from authguard_r.estop.startup import Favor, Ready, ask_favor, is_given, run_lane, say_to_stderr
+from authguard_r.estop.startup import (
+    EStopReady,
+    Favor,
+    ask_favor,
+    is_given,
+    run_lane,
+    say_to_stderr,
+)
 from authguard_r.estop.stop_queue import BATCH, SUSPENDING
 from authguard_r.keys.signer import folder_signer
 from authguard_r.wire.frames import frame
@@ -62,11 +69,11 @@ def run() -> Path:
 @contextmanager
 def serving(
     run: Path, config: GateConfig | None = None, said: list[bytes] | None = None
-) -> Iterator[Lane]:
+) -> Iterator[EStopServer]:
     """A lane in a thread of this process."""
     place = take_place(run)
     woken, waking = socket.socketpair()
-    lane = Lane(
+    lane = EStopServer(
         place,
         scenarios.RID,
         config or estop_fixtures.config(),
@@ -450,12 +457,12 @@ def test_only_an_operator_s_stop_suspends() -> None:
 
 
 @contextmanager
-def turning(run: Path) -> Iterator[Lane]:
+def turning(run: Path) -> Iterator[EStopServer]:
     """A lane whose turns the test makes."""
     place = take_place(run)
     signer = folder_signer(scenarios.trust_folder(), f"gate-{scenarios.RID}")
     woken, waking = socket.socketpair()
-    lane = Lane(
+    lane = EStopServer(
         place,
         scenarios.RID,
         estop_fixtures.config(),
@@ -559,19 +566,19 @@ def test_a_flood_of_connections_gets_what_one_user_may_have(run: Path) -> None:
 # beginning and end
 
 
-def seen_by(files: Any, act: Callable[[Ready], None], favor: Any = None) -> list[Ready]:
+def seen_by(files: Any, act: Callable[[EStopReady], None], favor: Any = None) -> list[EStopReady]:
     """Run a lane in this thread; another one acts on it, then ends it."""
-    seen: list[Ready] = []
+    seen: list[EStopReady] = []
     failed: list[BaseException] = []
 
-    def other(ready: Ready) -> None:
+    def other(ready: EStopReady) -> None:
         try:
             act(ready)
         except BaseException as error:  # noqa: BLE001 - raised below, in the test's own thread
             failed.append(error)
         os.kill(os.getpid(), signal.SIGTERM)
 
-    def ready(told: Ready) -> None:
+    def ready(told: EStopReady) -> None:
         seen.append(told)
         threading.Thread(target=other, args=(told,)).start()
 
@@ -585,7 +592,7 @@ def test_a_lane_says_what_it_is_and_leaves_nothing_behind_but_the_file() -> None
     files = estop_fixtures.files()
     before = signal.getsignal(signal.SIGTERM)
 
-    def act(ready: Ready) -> None:
+    def act(ready: EStopReady) -> None:
         client = estop_fixtures.Client(files.run)
         client.hello(ClientRole.PLANNER)
         client.stop("once")
@@ -665,13 +672,13 @@ def test_a_gate_hears_of_stops_and_forgets_them() -> None:
     lost: list[AuthGuardError | None] = []
 
     async def gate() -> None:
-        link = LaneLink(files.run / SOCKET, heard.append, lost.append)
+        link = EStopConnection(files.run / SOCKET, heard.append, lost.append)
         await link.connect()
         await soon(lambda: heard)
         link.heard(heard[-1].n)
         assert link.welcome is not None
         assert link.welcome.robot == scenarios.RID
-        second = LaneLink(files.run / SOCKET, heard.append)
+        second = EStopConnection(files.run / SOCKET, heard.append)
         await second.connect()
         await soon(lambda: lost)
         link.heard(1)
@@ -699,7 +706,7 @@ async def soon(true: Callable[[], Any]) -> None:
 
 def test_a_gate_without_a_lane_says_so(run: Path) -> None:
     with pytest.raises(EnvironmentFault, match="does not serve"):
-        asyncio.run(LaneLink(run / SOCKET, lambda stop: None).connect())
+        asyncio.run(EStopConnection(run / SOCKET, lambda stop: None).connect())
 
 
 def test_a_gate_does_not_believe_another_user_s_lane(
@@ -709,7 +716,7 @@ def test_a_gate_does_not_believe_another_user_s_lane(
         own = os.geteuid()
         monkeypatch.setattr("authguard_r.estop.connection.os.geteuid", lambda: own + 1)
         with pytest.raises(AuthenticityError, match="not the gate's own"):
-            asyncio.run(LaneLink(run / SOCKET, lambda stop: None).connect())
+            asyncio.run(EStopConnection(run / SOCKET, lambda stop: None).connect())
 
 
 def test_a_gate_lets_go_of_a_lane_that_makes_no_sense(run: Path) -> None:
@@ -722,7 +729,7 @@ def test_a_gate_lets_go_of_a_lane_that_makes_no_sense(run: Path) -> None:
             await writer.wait_closed()
 
         async with await asyncio.start_unix_server(babble, run / SOCKET):
-            await LaneLink(run / SOCKET, lambda stop: None, lost.append).connect()
+            await EStopConnection(run / SOCKET, lambda stop: None, lost.append).connect()
             await soon(lambda: lost)
 
     asyncio.run(talk())
@@ -735,7 +742,7 @@ def test_a_gate_that_asks_is_answered_after_it_heard_and_never_when_the_lane_is_
     came: list[str] = []
 
     async def gate(lane_client: estop_fixtures.Client) -> None:
-        link = LaneLink(run / SOCKET, lambda stop: came.append(stop.why))
+        link = EStopConnection(run / SOCKET, lambda stop: came.append(stop.why))
         link.sync(lambda: came.append("before it was there"))
         assert not link.connected
         await link.connect()
@@ -766,7 +773,7 @@ def test_an_answer_that_nobody_asked_for_ends_the_link(run: Path) -> None:
             await writer.wait_closed()
 
         async with await asyncio.start_unix_server(babble, run / SOCKET):
-            await LaneLink(run / SOCKET, lambda stop: None, lost.append).connect()
+            await EStopConnection(run / SOCKET, lambda stop: None, lost.append).connect()
             await soon(lambda: lost)
 
     asyncio.run(talk())
@@ -781,7 +788,7 @@ def test_a_gate_whose_lane_takes_nobody_says_so(run: Path, monkeypatch: pytest.M
     listener.listen(0)
     waiting = estop_fixtures.many(run, 1)
     with pytest.raises(EnvironmentFault, match="queue is full"):
-        asyncio.run(LaneLink(run / SOCKET, lambda stop: None).connect())
+        asyncio.run(EStopConnection(run / SOCKET, lambda stop: None).connect())
     waiting[0].close()
     listener.close()
 

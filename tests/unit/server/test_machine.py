@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from authguard_r.operations.checkup.advice import Code, Level, refuses_start
+from authguard_r.operations.checkup.advice import AdviceCode, Level, refuses_start
 from authguard_r.operations.checkup.machine import (
     clock_state,
     kept_advice,
@@ -70,5 +70,5 @@ def test_a_disk_without_the_reserve_is_unsafe_and_the_gate_still_serves_stops(
     free = shutil.disk_usage(tmp_path).free
     assert room_advice(tmp_path, free // 2).level is Level.WARNING
     full = room_advice(tmp_path, 1 << 60)
-    assert (full.level, full.code) == (Level.UNSAFE, Code.DISK)
+    assert (full.level, full.code) == (Level.UNSAFE, AdviceCode.DISK)
     assert not refuses_start(full)

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import pytest
 
-from authguard_r.client.controller import Channel
+from authguard_r.client.controller import MessageSource
 from authguard_r.core.identifiers import Digest
 from authguard_r.core.standing import Outcome
 from authguard_r.enforcement.signed_orders import Verb
-from authguard_r.server.lease_registry import Motions
+from authguard_r.server.lease_registry import LeaseRegistry
 from authguard_r.sim.robot import Faults
-from authguard_r.wire.messages import Act, ClientRole, Dispatch, Ended, Kind, Mode, Order
+from authguard_r.wire.messages import ClientRole, Dispatch, Ended, Kind, Mode, Order, OrderKind
 from fixtures import scenarios
 from unit.server.demo_site import GO, SCAN, Guest, House, reasons, ticket_of
 from unit.sim.desks import framed
@@ -83,7 +83,7 @@ def test_a_robot_that_does_not_say_that_it_stands_suspends_its_mission() -> None
         (release,) = house.standing.open
         operator = house.enter(ClientRole.OPERATOR)
         token = house.order(Verb.RESOLVE, ticket=release.ticket, outcome=Outcome.ABORTED)
-        answer = operator.ask(Kind.ORDER, Order(act=Act.COMMAND, token=token))
+        answer = operator.ask(Kind.ORDER, Order(act=OrderKind.COMMAND, token=token))
         assert answer["standing"].get("open", []) == []
 
 
@@ -102,7 +102,7 @@ def test_a_controller_that_is_busy_after_the_commit_gives_all_back_that_the_rele
             life=house.desk.life,
             stops=house.desk.stops,
         )
-        house.desk.handle(Channel.GATE, framed(Kind.DISPATCH, other), house.clock.ms)
+        house.desk.handle(MessageSource.GATE, framed(Kind.DISPATCH, other), house.clock.ms)
         (step,) = house.rest(planner, house.begin(planner, GO))["steps"]
         assert (step["released"], step["execution"]["outcome"]) == (True, "not_started")
         assert reasons(step) == ["BUSY"]
@@ -142,6 +142,6 @@ def test_nobody_has_to_be_told_where_there_is_no_controller() -> None:
         number = house.begin(planner, SCAN)
         assert len(house.service.motions) == 1
         assert house.rest(planner, number)["steps"][0]["execution"]["outcome"] == "succeeded"
-        empty = Motions(None, None)
+        empty = LeaseRegistry(None, None)
         empty.look()
         assert len(empty) == 0

@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from authguard_r.server.event_log import COUNTS_MS, Journal
+from authguard_r.server.event_log import COUNTS_MS, EventLog
 from authguard_r.wire.json_log import MOST_LINES
 from authguard_r.wire.messages import ClientRole, Kind
 from fixtures.estop_fixtures import until
@@ -83,7 +83,7 @@ def test_a_journal_that_nobody_reads_drops_lines_and_says_how_many(pipe: tuple[i
     read, write = pipe
     fcntl.fcntl(write, fcntl.F_SETPIPE_SZ, 4_096)
     os.set_blocking(read, False)
-    journal = Journal(write)
+    journal = EventLog(write)
 
     def told() -> dict[str, Any] | None:
         """Say something until it is written: only so many lines a second are."""
@@ -103,7 +103,7 @@ def test_a_journal_that_nobody_reads_drops_lines_and_says_how_many(pipe: tuple[i
 
 def test_who_connects_over_and_over_hides_no_alert(pipe: tuple[int, int]) -> None:
     read, write = pipe
-    journal = Journal(write)
+    journal = EventLog(write)
     for _ in range(4 * MOST_LINES):
         journal.event({"event": "client", "here": True})
     journal.event({"event": "recovery", "unclean": True})
@@ -116,7 +116,7 @@ def test_who_connects_over_and_over_hides_no_alert(pipe: tuple[int, int]) -> Non
 def test_counts_are_told_when_they_changed_and_not_too_often(pipe: tuple[int, int]) -> None:
     read, write = pipe
     os.set_blocking(read, False)
-    journal, counted = Journal(write), Counter({"shed": 1})
+    journal, counted = EventLog(write), Counter({"shed": 1})
 
     def told(now_ms: int) -> bytes:
         journal.counts(counted, now_ms)

@@ -11,8 +11,8 @@ import pytest
 
 from authguard_r.core.quantities import Now
 from authguard_r.keys.envelope import seal
-from authguard_r.operations.checkup import Setup, checkup
-from authguard_r.operations.checkup.advice import Code, Level
+from authguard_r.operations.checkup import GateSetup, checkup
+from authguard_r.operations.checkup.advice import AdviceCode, Level
 from authguard_r.operations.checkup.custody import plain_advice, stray_advice
 from fixtures import scenarios
 
@@ -34,14 +34,18 @@ def key_of(trust: Path, name: str) -> Path:
 
 
 def told(trust: Path, *, demo: bool, key: Path | None = None) -> set[str]:
-    found = checkup(Setup(demo=demo, uid=ME, trust=trust, key=key), Now(scenarios.START_MS, 0))
-    return {Path(one.place).name for one in found if one.code is Code.KEY_PLAIN}
+    found = checkup(GateSetup(demo=demo, uid=ME, trust=trust, key=key), Now(scenarios.START_MS, 0))
+    return {Path(one.place).name for one in found if one.code is AdviceCode.KEY_PLAIN}
 
 
 def test_each_persons_plain_key_is_warned_of_with_its_mend(trust: Path) -> None:
     path = key_of(trust, "operator-1")
     (found,) = plain_advice(path)
-    assert (found.level, found.code, found.place) == (Level.WARNING, Code.KEY_PLAIN, str(path))
+    assert (found.level, found.code, found.place) == (
+        Level.WARNING,
+        AdviceCode.KEY_PLAIN,
+        str(path),
+    )
     assert found.mend == f"authguard keys protect {path}"
     assert told(trust, demo=False) >= {f"{name}.key.pem" for name in PEOPLE}
     assert not any(name.startswith(SERVICES) for name in told(trust, demo=False))

@@ -17,12 +17,21 @@ from authguard_r.core.mission import OnRefusal
 from authguard_r.core.provenance import TRUST, Label
 from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.server import sessions
-from authguard_r.server.fair_queue import MOST_WAITING, Client
+from authguard_r.server.fair_queue import MOST_WAITING, ServedClient
 from authguard_r.server.plans import _MOST_CONTEXTS, _MOST_OF_USER
 from authguard_r.store.sqlite import open_store
 from authguard_r.wire.disclosure import Disclosure
 from authguard_r.wire.frames import raw_frame
-from authguard_r.wire.messages import Act, ClientRole, Evaluate, Kind, Mode, Observe, Order, Propose
+from authguard_r.wire.messages import (
+    ClientRole,
+    Evaluate,
+    Kind,
+    Mode,
+    Observe,
+    Order,
+    OrderKind,
+    Propose,
+)
 from fixtures import scenarios
 from unit.server.demo_site import FORBIDDEN, GO, PATIENCE_S, SCAN, UNREADABLE, Guest, House, Refused
 
@@ -360,7 +369,7 @@ def test_one_user_has_its_own_part_of_what_is_kept_and_no_more() -> None:
         assert (refused.value.code, refused.value.where) == ("BUSY", "observe")
         assert len(plans._contexts) == _MOST_OF_USER
         line = house.client(house._guests[-1]).line
-        other = Client(line, role=ClientRole.PLANNER, name=Identifier("u99999.p"), uid=99_999)
+        other = ServedClient(line, role=ClientRole.PLANNER, name=Identifier("u99999.p"), uid=99_999)
         plans.observe(other, "user", "Pharmacy")  # another user's are noted all the same
         assert plans._contexts[other.name].influences(scenarios.navigate("dock", "pharmacy"))
 
@@ -577,7 +586,7 @@ def test_a_suspended_mission_refuses_until_it_is_resumed() -> None:
         refused = house.propose(client, SCAN)
         assert refused["steps"][0]["reasons"] == ["MISSION_SUSPENDED"]
         said: dict[str, Any] = operator.ask(
-            Kind.ORDER, Order(act=Act.COMMAND, token=house.order(Verb.RESUME))
+            Kind.ORDER, Order(act=OrderKind.COMMAND, token=house.order(Verb.RESUME))
         )
         assert said["standing"]["status"] == "active"
         assert house.propose(client, SCAN)["steps"][0]["executed"]

@@ -23,11 +23,11 @@ from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.quantities import Now
 from authguard_r.core.token import sign_object
-from authguard_r.estop.startup import LaneFiles
+from authguard_r.estop.startup import EStopFiles
 from authguard_r.keys.signer import folder_signer, gate_name
 from authguard_r.keys.trust import read_trust
 from authguard_r.safety import default_config as default_safety
-from authguard_r.server.parts import Parts
+from authguard_r.server.parts import GateParts
 from authguard_r.server.process import SOCKET, Rendezvous, _Pace, run_gate
 from authguard_r.server.robot_lock import hold_robot, root_fingerprint
 from authguard_r.sim.robot import SymbolicRobot
@@ -48,7 +48,7 @@ def journal() -> Iterator[int]:
 
 
 @pytest.fixture
-def files() -> LaneFiles:
+def files() -> EStopFiles:
     return estop_fixtures.files()
 
 
@@ -62,8 +62,8 @@ def robot() -> SymbolicRobot:
     )
 
 
-def parts(files: LaneFiles, journal: int, **changes: Any) -> Parts:
-    made = Parts(
+def parts(files: EStopFiles, journal: int, **changes: Any) -> GateParts:
+    made = GateParts(
         run=files.run,
         trust=read_trust(scenarios.trust_folder()),
         signer=folder_signer(scenarios.trust_folder(), gate_name(scenarios.RID)),
@@ -79,7 +79,7 @@ def parts(files: LaneFiles, journal: int, **changes: Any) -> Parts:
     return msgspec.structs.replace(made, **changes)
 
 
-def served(made: Parts, work: Callable[[Rendezvous], None]) -> None:
+def served(made: GateParts, work: Callable[[Rendezvous], None]) -> None:
     """Run a gate here, in the main thread; another does something and then ends it."""
     faults: list[BaseException] = []
     threads: list[threading.Thread] = []
@@ -124,13 +124,13 @@ def activate(told: Rendezvous) -> dict[str, Any]:
         return operator.activate(sign_object(mission, Tag.MISSION, signer))
 
 
-def records(made: Parts, kind: str) -> list[Any]:
+def records(made: GateParts, kind: str) -> list[Any]:
     rows = [read_record(row.record, where="log") for row in read_rows(made.store)]
     return [record for record in rows if record.kind == kind]
 
 
 def test_what_is_asked_of_a_simulation_is_asked_of_now(
-    files: LaneFiles, journal: int, monkeypatch: pytest.MonkeyPatch
+    files: EStopFiles, journal: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A mission that begins now by its author's clock has begun, whenever anybody looked last."""
     monkeypatch.setattr("authguard_r.server.service.LOOK_S", 10 * PATIENCE_S)
@@ -156,7 +156,7 @@ def test_a_simulation_that_is_ahead_goes_on_as_time_does() -> None:
     assert ahead.wall_ms() - before_ms <= passed_ms + 1
 
 
-def test_a_gate_says_where_it_is_and_leaves_nothing_behind(files: LaneFiles, journal: int) -> None:
+def test_a_gate_says_where_it_is_and_leaves_nothing_behind(files: EStopFiles, journal: int) -> None:
     made = parts(files, journal)
     beside = made.store.with_name("robot.db.gate")
 
@@ -178,7 +178,7 @@ def test_a_gate_says_where_it_is_and_leaves_nothing_behind(files: LaneFiles, jou
 
 
 def test_a_gate_holds_its_key_and_lets_those_go_who_ask_for_its_name(
-    files: LaneFiles, journal: int, tmp_path: Path
+    files: EStopFiles, journal: int, tmp_path: Path
 ) -> None:
     """A copy of everything but the key, in another name: as from another network namespace."""
     key = tmp_path / "gate.key.pem"
@@ -200,7 +200,7 @@ def test_a_gate_holds_its_key_and_lets_those_go_who_ask_for_its_name(
     hold_robot(scenarios.OTHER, "b" * 16, run=tmp_path, key=key).release()
 
 
-def test_a_simulated_robot_walks_in_the_gates_own_time(files: LaneFiles, journal: int) -> None:
+def test_a_simulated_robot_walks_in_the_gates_own_time(files: EStopFiles, journal: int) -> None:
     made = parts(files, journal, simulated=robot())
 
     def work(told: Rendezvous) -> None:
@@ -217,7 +217,7 @@ def test_a_simulated_robot_walks_in_the_gates_own_time(files: LaneFiles, journal
 
 
 def test_a_clean_end_stops_what_moves_and_the_next_start_finds_the_mission_active(
-    files: LaneFiles, journal: int
+    files: EStopFiles, journal: int
 ) -> None:
     slow = robot()
     made = parts(files, journal, simulated=slow)
@@ -241,7 +241,7 @@ def test_a_clean_end_stops_what_moves_and_the_next_start_finds_the_mission_activ
 
 
 def test_a_shadow_gate_releases_nothing_and_marks_every_record(
-    files: LaneFiles, journal: int
+    files: EStopFiles, journal: int
 ) -> None:
     made = parts(
         files, journal, config=msgspec.structs.replace(estop_fixtures.config(), mode=Mode.SHADOW)
@@ -260,7 +260,7 @@ def test_a_shadow_gate_releases_nothing_and_marks_every_record(
 
 
 def test_a_simulated_robot_of_a_shadow_gate_stands_still_while_its_time_passes(
-    files: LaneFiles, journal: int
+    files: EStopFiles, journal: int
 ) -> None:
     here = robot()
     start, began_ms = here.state, here.mono_ms()
@@ -283,7 +283,7 @@ def test_a_simulated_robot_of_a_shadow_gate_stands_still_while_its_time_passes(
 
 
 def test_a_stop_lane_is_started_with_the_gate_heard_and_ended_with_it(
-    files: LaneFiles, journal: int
+    files: EStopFiles, journal: int
 ) -> None:
     made = parts(files, journal, lane=files)
 
@@ -301,7 +301,7 @@ def test_a_stop_lane_is_started_with_the_gate_heard_and_ended_with_it(
 
 
 def test_a_socket_that_cannot_be_is_a_fault_and_nothing_is_held(
-    tmp_path: Path, files: LaneFiles, journal: int
+    tmp_path: Path, files: EStopFiles, journal: int
 ) -> None:
     long = tmp_path / ("x" * 120)
     long.mkdir()
@@ -313,7 +313,7 @@ def test_a_socket_that_cannot_be_is_a_fault_and_nothing_is_held(
 
 
 def test_a_second_gate_for_the_same_robot_is_refused_before_its_store_is_touched(
-    files: LaneFiles, journal: int
+    files: EStopFiles, journal: int
 ) -> None:
     made = parts(files, journal)
     held = hold_robot(scenarios.RID, root_fingerprint(made.trust.root), run=files.run)

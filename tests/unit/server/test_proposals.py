@@ -13,9 +13,15 @@ from authguard_r.core.identifiers import Digest, Identifier
 from authguard_r.core.reasons import Reason
 from authguard_r.enforcement.json_views import report_json
 from authguard_r.enforcement.report import Refusal, Report
-from authguard_r.server.proposals import _MOST_KNOWN, Answered, Keeper, Kept, Proposals
+from authguard_r.server.proposals import (
+    _MOST_KNOWN,
+    Keeper,
+    ProposalAnswer,
+    ProposalRecord,
+    ProposalRegistry,
+)
 from authguard_r.server.replayed_response import retold
-from authguard_r.store.transactions import Act
+from authguard_r.store.transactions import Transaction
 from authguard_r.wire.disclosure import Disclosure
 from authguard_r.wire.messages import ClientRole
 from fixtures import scenarios
@@ -26,8 +32,8 @@ CLIENT, OTHER = Identifier("u1.planner"), Identifier("u2.planner")
 REFUSED = Report(judged=None, refusal=Refusal(Reason.MALFORMED, "x", "y"))
 
 
-def answered(*steps: Report, evidence: Digest = ONE) -> Answered:
-    return Answered(evidence=evidence, planned=2, steps=tuple(map(report_json, steps)))
+def answered(*steps: Report, evidence: Digest = ONE) -> ProposalAnswer:
+    return ProposalAnswer(evidence=evidence, planned=2, steps=tuple(map(report_json, steps)))
 
 
 def test_what_is_held_with_an_effect_is_recalled_and_no_other_plan_takes_its_key() -> None:
@@ -36,15 +42,15 @@ def test_what_is_held_with_an_effect_is_recalled_and_no_other_plan_takes_its_key
         house.activate()
         answer = house.propose(planner, SCAN, "k")
         ledger, name = house.gate.ledger, house.client(planner).name
-        held = Proposals(ledger, Disclosure.FULL).recall(
+        held = ProposalRegistry(ledger, Disclosure.FULL).recall(
             name, "k", digest(Tag.RAW, SCAN)
         )  # another gate's memory
         assert held is not None
         assert (held.planned, held.steps[0]["execution"]) == (1, answer["steps"][0]["execution"])
         with pytest.raises(RefusedError) as refused:
-            Proposals(ledger, Disclosure.FULL).recall(name, "k", TWO)
+            ProposalRegistry(ledger, Disclosure.FULL).recall(name, "k", TWO)
         assert refused.value.reason is Reason.KEY_REUSED
-        assert Proposals(ledger, Disclosure.FULL).recall(OTHER, "k", TWO) is None
+        assert ProposalRegistry(ledger, Disclosure.FULL).recall(OTHER, "k", TWO) is None
 
 
 def test_what_is_told_again_is_what_was_told() -> None:
@@ -53,7 +59,7 @@ def test_what_is_told_again_is_what_was_told() -> None:
         house.activate()
         first = house.propose(planner, SCAN + b"\n" + GO, "k")
         name = house.client(planner).name
-        held = Proposals(house.gate.ledger, Disclosure.FULL).recall(
+        held = ProposalRegistry(house.gate.ledger, Disclosure.FULL).recall(
             name, "k", digest(Tag.RAW, SCAN + b"\n" + GO)
         )
         assert held is not None
@@ -84,7 +90,9 @@ def test_a_step_whose_end_nobody_recorded_is_told_without_one() -> None:
         house.activate()
         house.begin(planner, GO, "k")
         name = house.client(planner).name
-        held = Proposals(house.gate.ledger, Disclosure.FULL).recall(name, "k", digest(Tag.RAW, GO))
+        held = ProposalRegistry(house.gate.ledger, Disclosure.FULL).recall(
+            name, "k", digest(Tag.RAW, GO)
+        )
         assert held is not None
         assert held.steps[0]["released"] is True
         assert held.steps[0]["execution"]["outcome"] is None
@@ -92,28 +100,28 @@ def test_a_step_whose_end_nobody_recorded_is_told_without_one() -> None:
 
 def test_what_is_held_in_a_turn_that_fails_is_not_held() -> None:
     ledger = scenarios.simulation().gate.ledger
-    keeper = Keeper(CLIENT, "k", Kept(evidence=ONE, planned=1, steps=()))
+    keeper = Keeper(CLIENT, "k", ProposalRecord(evidence=ONE, planned=1, steps=()))
 
-    def job(act: Act) -> None:
+    def job(act: Transaction) -> None:
         keeper(act, REFUSED, 0)
         raise StoreError("power is gone")
 
     with pytest.raises(StoreError):
         ledger.run(job)
-    assert Proposals(ledger, Disclosure.FULL).recall(CLIENT, "k", ONE) is None
+    assert ProposalRegistry(ledger, Disclosure.FULL).recall(CLIENT, "k", ONE) is None
 
 
 def test_a_record_that_is_gone_is_a_fault_of_the_store() -> None:
     ledger = scenarios.simulation().gate.ledger
-    held = Kept(evidence=ONE, planned=1, steps=((10**6, -1),))
+    held = ProposalRecord(evidence=ONE, planned=1, steps=((10**6, -1),))
     ledger.run(lambda act: act.put("proposal", f"{CLIENT} k", encode_fast(held)))
     with pytest.raises(StoreError) as fault:
-        Proposals(ledger, Disclosure.FULL).recall(CLIENT, "k", ONE)
+        ProposalRegistry(ledger, Disclosure.FULL).recall(CLIENT, "k", ONE)
     assert fault.value.reason is Reason.STORE_CORRUPT
 
 
 def test_what_was_refused_is_remembered_for_a_while_and_no_more_than_that() -> None:
-    proposals = Proposals(scenarios.simulation().gate.ledger, Disclosure.FULL)
+    proposals = ProposalRegistry(scenarios.simulation().gate.ledger, Disclosure.FULL)
     for number in range(_MOST_KNOWN + 1):
         proposals.remember(CLIENT, f"k{number}", answered(REFUSED))
     assert proposals.recall(CLIENT, "k0", TWO) is None
@@ -126,5 +134,5 @@ def test_a_held_answer_that_is_damaged_is_a_fault_of_the_store_not_a_new_proposa
     ledger = scenarios.simulation().gate.ledger
     ledger.run(lambda act: act.put("proposal", f"{CLIENT} k", b"{}"))
     with pytest.raises(StoreError) as fault:
-        Proposals(ledger, Disclosure.FULL).recall(CLIENT, "k", ONE)
+        ProposalRegistry(ledger, Disclosure.FULL).recall(CLIENT, "k", ONE)
     assert fault.value.reason is Reason.STORE_CORRUPT

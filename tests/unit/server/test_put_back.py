@@ -15,26 +15,26 @@ from authguard_r.client.session import done_of
 from authguard_r.core.errors import ClockError, MalformedError, RefusedError
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
-from authguard_r.operations.checkup import Setup, checkup
-from authguard_r.operations.checkup.advice import Code, Level
+from authguard_r.operations.checkup import GateSetup, checkup
+from authguard_r.operations.checkup.advice import AdviceCode, Level
 from authguard_r.operations.checkup.logbook import counter_advice, store_advice, witness_advice
 from authguard_r.operations.simulation import simulate
 from authguard_r.server.recovery import Recovery
 from authguard_r.server.remediation import MENDS
 from authguard_r.store.sqlite import open_store
-from authguard_r.wire.messages import Act
+from authguard_r.wire.messages import OrderKind
 from fixtures import scenarios
 from fixtures.small_witness import SmallWitness, begin, policy
 from unit.server.robots import config
 
 
 def test_the_answer_to_an_order_is_taken_under_its_own_name() -> None:
-    assert done_of(Act.ACCEPT_STORE, {"accepted": {"size": 3}}) == {"size": 3}
-    assert done_of(Act.REVOCATIONS, {"revocations": {}}) == {}
-    assert done_of(Act.COMMAND, {"standing": {}}) == {}
+    assert done_of(OrderKind.ACCEPT_STORE, {"accepted": {"size": 3}}) == {"size": 3}
+    assert done_of(OrderKind.REVOCATIONS, {"revocations": {}}) == {}
+    assert done_of(OrderKind.COMMAND, {"standing": {}}) == {}
     for said in ({}, {"standing": {}}, {"accepted": 3}):
         with pytest.raises(MalformedError, match="what became of the order"):
-            done_of(Act.ACCEPT_STORE, said)
+            done_of(OrderKind.ACCEPT_STORE, said)
 
 
 def test_whoever_reads_the_refusal_is_told_what_to_do() -> None:
@@ -44,7 +44,7 @@ def test_whoever_reads_the_refusal_is_told_what_to_do() -> None:
 def test_the_doctor_names_a_counter_that_is_missing_or_worth_little(tmp_path: Path) -> None:
     store = tmp_path / "robot.db"
     none = counter_advice(None, store)
-    assert (none.level, none.code) == (Level.WARNING, Code.COUNTER)
+    assert (none.level, none.code) == (Level.WARNING, AdviceCode.COUNTER)
     assert "--counter" in none.mend
     beside = counter_advice(tmp_path / "counter", store)
     assert (beside.level, beside.place) == (Level.WARNING, str(tmp_path / "counter"))
@@ -71,8 +71,8 @@ def test_the_doctor_says_what_witnesses_are_worth(tmp_path: Path) -> None:
     assert levels(1, away, here) == [Level.WARNING]
     assert levels(2, away, here) == [Level.WARNING, Level.OK]
     assert levels(2, away, away, here) == [Level.OK]
-    setup = Setup(demo=False, uid=0, store=store, config=config(witnesses=(away,), quorum=1))
-    (found,) = (a for a in checkup(setup, scenarios.NOW) if a.code is Code.COUNTER)
+    setup = GateSetup(demo=False, uid=0, store=store, config=config(witnesses=(away,), quorum=1))
+    (found,) = (a for a in checkup(setup, scenarios.NOW) if a.code is AdviceCode.COUNTER)
     assert found.level is Level.OK
 
 
@@ -83,7 +83,7 @@ def test_the_doctor_says_where_the_newest_checkpoint_is(tmp_path: Path) -> None:
         found = {
             a.code: a for a in store_advice(store, scenarios.NOW, uid=os.geteuid(), deep=False)
         }
-        return found[Code.ANCHOR].level, found[Code.ANCHOR].message
+        return found[AdviceCode.ANCHOR].level, found[AdviceCode.ANCHOR].message
 
     with SmallWitness("w") as witness:
         opened = open_store(store)
@@ -99,11 +99,11 @@ def test_the_doctor_says_where_the_newest_checkpoint_is(tmp_path: Path) -> None:
 
 
 def test_the_doctor_looks_at_the_counter_together_with_the_store(tmp_path: Path) -> None:
-    setup = Setup(demo=False, uid=0, store=tmp_path / "robot.db")
+    setup = GateSetup(demo=False, uid=0, store=tmp_path / "robot.db")
     now = Now(scenarios.START_MS, 0)
-    assert Code.COUNTER in {advice.code for advice in checkup(setup, now)}
+    assert AdviceCode.COUNTER in {advice.code for advice in checkup(setup, now)}
     without = replace(setup, store=None)
-    assert Code.COUNTER not in {advice.code for advice in checkup(without, now)}
+    assert AdviceCode.COUNTER not in {advice.code for advice in checkup(without, now)}
 
 
 def test_what_comes_first_waits_for_the_clock_and_is_asked_again(tmp_path: Path) -> None:

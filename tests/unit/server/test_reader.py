@@ -25,7 +25,7 @@ from authguard_r.server.plan_reader import (
     MOST_OF_USER,
     MOST_WAITING,
     SHORT,
-    Reader,
+    PlanReader,
     _serve,
     read_plan,
 )
@@ -59,7 +59,7 @@ class Desk:
 
     def __init__(self, **bounds: Any) -> None:
         bounds.setdefault("within_s", PATIENCE_S)
-        self.reader = Reader(scenarios.site(), scenarios.binding(), **bounds)
+        self.reader = PlanReader(scenarios.site(), scenarios.binding(), **bounds)
         self.taken: list[Read] = []
         self.users = 0
 

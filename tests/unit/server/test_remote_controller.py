@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from authguard_r.client.controller import Channel
+from authguard_r.client.controller import MessageSource
 from authguard_r.client.proof import prove
 from authguard_r.core.action import Action, ActionMeta
 from authguard_r.core.encoding import b64
@@ -348,8 +348,12 @@ def test_a_controller_that_was_started_anew_begins_nothing_by_its_old_count() ->
         house.controller.leave()
         house.connect_robot()
         desk = house.desk
-        desk.opened(Channel.STOP, prove(welcome(), greeting(), nonce=NONCE, now=scenarios.NOW), 0)
-        desk.handle(Channel.STOP, framed(Kind.HALT, Halt(), 1), house.clock.ms)  # its word is lost
+        desk.opened(
+            MessageSource.STOP, prove(welcome(), greeting(), nonce=NONCE, now=scenarios.NOW), 0
+        )
+        desk.handle(
+            MessageSource.STOP, framed(Kind.HALT, Halt(), 1), house.clock.ms
+        )  # its word is lost
         house.stop(ClientRole.PLANNER, 1, stops=10, life=before)
         here = house.place
         (step,) = house.propose(planner, GO)["steps"]
@@ -364,12 +368,14 @@ def test_what_was_decided_before_an_operators_stop_never_starts(first: str) -> N
         house.activate()
         desk = house.desk
         assert desk is not None
-        desk.opened(Channel.STOP, prove(welcome(), greeting(), nonce=NONCE, now=scenarios.NOW), 0)
+        desk.opened(
+            MessageSource.STOP, prove(welcome(), greeting(), nonce=NONCE, now=scenarios.NOW), 0
+        )
         # the lane's stop is carried out; its word on whose it was is still on the way
-        said = desk.handle(Channel.STOP, framed(Kind.HALT, Halt(), 1), house.clock.ms)
+        said = desk.handle(MessageSource.STOP, framed(Kind.HALT, Halt(), 1), house.clock.ms)
         here = house.place
         if first == "stood":
-            house._deliver(tuple(sent for sent in said if sent.channel is Channel.GATE))
+            house._deliver(tuple(sent for sent in said if sent.channel is MessageSource.GATE))
         number = house.begin(planner, GO)
         (step,) = house.rest(planner, number)["steps"]
         assert step["outcome"] == "accept"
@@ -387,9 +393,11 @@ def test_a_planners_stop_holds_nobody_up_for_longer_than_its_word_takes() -> Non
         house.activate()
         desk = house.desk
         assert desk is not None
-        desk.opened(Channel.STOP, prove(welcome(), greeting(), nonce=NONCE, now=scenarios.NOW), 0)
-        said = desk.handle(Channel.STOP, framed(Kind.HALT, Halt(), 1), house.clock.ms)
-        house._deliver(tuple(sent for sent in said if sent.channel is Channel.GATE))
+        desk.opened(
+            MessageSource.STOP, prove(welcome(), greeting(), nonce=NONCE, now=scenarios.NOW), 0
+        )
+        said = desk.handle(MessageSource.STOP, framed(Kind.HALT, Halt(), 1), house.clock.ms)
+        house._deliver(tuple(sent for sent in said if sent.channel is MessageSource.GATE))
         house.stop(ClientRole.PLANNER, 1, stops=1)
         assert house.propose(planner, SCAN)["steps"][0]["execution"]["outcome"] == "succeeded"
 

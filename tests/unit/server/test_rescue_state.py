@@ -14,7 +14,7 @@ import pytest
 
 from authguard_r.core.safety import Hazard, SafetyDecision, SafetyFinding
 from authguard_r.enforcement.emergency.policy import Caller
-from authguard_r.enforcement.emergency_enforcer import Rescued
+from authguard_r.enforcement.emergency_enforcer import EmergencyReport
 from authguard_r.wire.messages import ClientRole
 from fixtures import emergency_policies
 from unit.server.demo_site import GO, SCAN, STEP_MS, Guest
@@ -116,7 +116,7 @@ def test_the_last_look_before_the_robot_is_sent_counts_newer_state_alone() -> No
         call = house.road.judge("go-safe", Caller.PLANNER, "u1.x", stands=True)  # type: ignore[arg-type]
         house.gate.ledger.raise_fence()
         ended = house.road.begin(call)
-        assert isinstance(ended, Rescued)
+        assert isinstance(ended, EmergencyReport)
         assert ended.outcome == "not_started"
         assert {finding.reason for finding in ended.reasons} == {"STATE_BEFORE_MOTION"}
         assert uses(house, Caller.PLANNER) == 0

@@ -16,8 +16,8 @@ from authguard_r.core.action import Action
 from authguard_r.core.errors import ControllerError
 from authguard_r.core.lease import Lease
 from authguard_r.enforcement.emergency.policy import MOST_PER_HOUR, Caller
-from authguard_r.enforcement.emergency_audit import Kept, _after
-from authguard_r.enforcement.emergency_enforcer import Rescued
+from authguard_r.enforcement.emergency_audit import EmergencyStanding, _after
+from authguard_r.enforcement.emergency_enforcer import EmergencyReport
 from authguard_r.store.memory import MemoryStore
 from authguard_r.wire.messages import ClientRole
 from fixtures import emergency_policies
@@ -90,7 +90,7 @@ def test_what_was_not_started_while_the_store_was_gone_is_no_use_either(tmp_path
 
 @pytest.mark.parametrize("outcome", ["succeeded", "failed", "aborted", "unknown"])
 def test_what_began_is_a_use_however_it_ended(outcome: str) -> None:
-    begun = _after(Kept(), record(1))
+    begun = _after(EmergencyStanding(), record(1))
     assert _after(begun, record(2, decision=outcome, ticket=record(1).ticket)).uses == {
         "planner go-safe": (1,)
     }
@@ -99,7 +99,8 @@ def test_what_began_is_a_use_however_it_ended(outcome: str) -> None:
 def test_an_end_that_is_heard_of_twice_gives_one_use_back() -> None:
     """A gate that is killed while the journal comes into the log reads the rest of it again."""
     used = _after(
-        _after(Kept(), record(1)), record(2, decision="succeeded", ticket=record(1).ticket)
+        _after(EmergencyStanding(), record(1)),
+        record(2, decision="succeeded", ticket=record(1).ticket),
     )
     begun = _after(used, record(3))
     end = record(4, decision="not_started", ticket=record(3).ticket)
@@ -109,7 +110,9 @@ def test_an_end_that_is_heard_of_twice_gives_one_use_back() -> None:
 
 
 def test_uses_that_are_older_than_an_hour_are_forgotten() -> None:
-    kept = Kept(uses={"go-safe": (1,), "gate let-go": (1, 2), "planner go-safe not_started": (1,)})
+    kept = EmergencyStanding(
+        uses={"go-safe": (1,), "gate let-go": (1, 2), "planner go-safe not_started": (1,)}
+    )
     after = _after(kept, record(1, mono_ms=HOUR_MS + 1, caller="operator"))
     assert after.uses == {"gate let-go": (2,), "operator go-safe": (HOUR_MS + 1,)}
 
@@ -187,6 +190,6 @@ def test_a_begin_that_no_disk_took_is_no_use() -> None:
     with Ward(store=disk, at="station-103") as house:
         call = house.road.judge("go-safe", Caller.PLANNER, "u1.x", stands=True)  # type: ignore[arg-type]
         disk.dead = True
-        assert isinstance(house.road.begin(call), Rescued)
+        assert isinstance(house.road.begin(call), EmergencyReport)
         assert counts(house, Caller.PLANNER) == (0, 0)
         disk.dead = False

@@ -21,15 +21,15 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.standing import Outcome
 from authguard_r.enforcement.emergency.opened import open_emergency, require_signer
 from authguard_r.enforcement.emergency.policy import Caller, EmergencyPolicy
-from authguard_r.enforcement.emergency_audit import Kept
-from authguard_r.enforcement.emergency_enforcer import Relief, Rescued
+from authguard_r.enforcement.emergency_audit import EmergencyStanding
+from authguard_r.enforcement.emergency_enforcer import EmergencyExecution, EmergencyReport
 from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.keys.signer import gate_name
 from authguard_r.server import emergencies
 from authguard_r.server.emergency_wiring import open_journal, open_road
 from authguard_r.sim.robot import Faults
 from authguard_r.store.memory import MemoryStore
-from authguard_r.wire.messages import Act, ClientRole, Emergency, Kind, Order
+from authguard_r.wire.messages import ClientRole, Emergency, Kind, Order, OrderKind
 from fixtures import emergency_policies, scenarios
 from unit.server.demo_site import GO, STEP_MS, Guest, HandClock, House, Refused
 
@@ -331,7 +331,7 @@ def test_an_operators_stop_stands_until_a_signed_resume() -> None:
         house.stop(ClientRole.OPERATOR, 1)
         assert house.call(guest, "go-safe")["reasons"] == ["STOPPED"]
         person = house.enter(ClientRole.OPERATOR, "resumes")
-        person.ask(Kind.ORDER, Order(act=Act.COMMAND, token=house.order(Verb.RESUME)))
+        person.ask(Kind.ORDER, Order(act=OrderKind.COMMAND, token=house.order(Verb.RESUME)))
         assert house.call(guest, "go-safe")["outcome"] == "accept"
 
 
@@ -588,7 +588,7 @@ def test_only_the_last_answers_and_users_are_kept(monkeypatch: pytest.MonkeyPatc
         assert kept is not None
         ((_, answers),) = kept._answers.items()
         assert [key for _, key in answers] == ["b", "c"]
-        asked = emergencies._Asked(
+        asked = emergencies._CallListener(
             name="u77.other", caller=Caller.PLANNER, capability="call-help", tell=lambda _: None
         )
         kept._judge(asked)
@@ -621,7 +621,7 @@ def test_a_guard_that_is_false_by_the_time_it_is_on_disk_begins_nothing() -> Non
         call = house.road.judge("go-safe", Caller.PLANNER, "u1.x")
         house.clock.ms += 5_000  # a disk that took long
         ended = house.road.begin(call)
-        assert isinstance(ended, Rescued)
+        assert isinstance(ended, EmergencyReport)
         assert ended.outcome == "not_started"
         assert ended.reasons[0].reason == "STATE_STALE"
 
@@ -631,7 +631,7 @@ def test_the_other_orders_leave_a_stop_standing() -> None:
         house.activate()
         house.stop(ClientRole.OPERATOR, 1)
         person = house.enter(ClientRole.OPERATOR, "revokes")
-        person.ask(Kind.ORDER, Order(act=Act.COMMAND, token=house.order(Verb.REVOKE)))
+        person.ask(Kind.ORDER, Order(act=OrderKind.COMMAND, token=house.order(Verb.REVOKE)))
         assert house.road.log.stopped
 
 
@@ -751,7 +751,7 @@ def test_a_stop_that_no_disk_took_stands_until_one_does(tmp_path: Path) -> None:
 def test_uses_of_before_a_power_cut_count_for_an_hour_from_now() -> None:
     """An idle gate commits no clock mark: the next one's clock begins where the last mark was."""
     store, clock = _Kept(MemoryStore()), HandClock()
-    used = encode_fast(Kept(uses={"go-safe": (1, 48 * HOUR_MS)}))
+    used = encode_fast(EmergencyStanding(uses={"go-safe": (1, 48 * HOUR_MS)}))
     with plain_house(store, clock) as house:
         clock.ms += 5_000
         house.gate.ledger.run(lambda act: act.put("emergency", "state", used))
@@ -772,7 +772,7 @@ def test_what_the_journal_had_is_told_once_when_the_store_comes_back_at_the_end(
         disk.dead = True
         call = house.road.judge("go-safe", Caller.OPERATOR, "u1.nurse")  # type: ignore[arg-type]
         begun = house.road.begin(call)
-        assert isinstance(begun, Relief)
+        assert isinstance(begun, EmergencyExecution)
         disk.dead = False
         house.road.ended(call, begun.lease.ticket, Outcome.ABORTED, ())
         house.advance(300)

@@ -19,7 +19,7 @@ from authguard_r.core.quantities import to_ms
 from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.operations.simulation import Simulation
 from authguard_r.server.liveness import Liveness
-from authguard_r.server.retention import EVERY_MS, STUCK, Retirement
+from authguard_r.server.retention import EVERY_MS, STUCK, RetentionWork
 from authguard_r.wire.messages import Mode
 from fixtures import scenarios, sealed_logs
 
@@ -37,7 +37,7 @@ class Watched:
         self.liveness = Liveness(
             config, sim.gate.ledger.mono_ms, lambda what, more: self.told.append({what: more})
         )
-        self.retirement = Retirement(
+        self.retirement = RetentionWork(
             sim.gate.management, sim.gate.ledger.mono_ms, self.liveness, self.end
         )
 

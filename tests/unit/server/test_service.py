@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from authguard_r.client.controller import Channel
+from authguard_r.client.controller import MessageSource
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import EnvironmentFault, StoreError
 from authguard_r.core.reasons import Reason
@@ -24,13 +24,13 @@ from authguard_r.store.sqlite import open_store
 from authguard_r.wire.frames import frame, raw_frame
 from authguard_r.wire.messages import (
     PROTOCOL,
-    Act,
     ClientRole,
     Evaluate,
     Hello,
     Kind,
     Mode,
     Order,
+    OrderKind,
     Proof,
     Propose,
 )
@@ -137,7 +137,7 @@ def test_what_the_last_run_left_open_is_settled_before_anything_new(
             operator = house.enter(ClientRole.OPERATOR)
             token = house.order(Verb.RESUME, issued_ms=house.clock.wall_ms() + 1)
             with pytest.raises(Exception, match="TRANSITION_REFUSED"):
-                operator.ask(Kind.ORDER, Order(act=Act.COMMAND, token=token))
+                operator.ask(Kind.ORDER, Order(act=OrderKind.COMMAND, token=token))
         elif by == "what-if":
             house.enter(ClientRole.OPERATOR).ask(Kind.EVALUATE, Evaluate(plan=SCAN))
         elif by == "snapshot":
@@ -406,7 +406,7 @@ async def answering(house: House) -> None:
         controller.pull()
         came, controller.got = controller.got, []
         for item in came:
-            for sent in desk.handle(Channel.GATE, item, house.clock.ms):
+            for sent in desk.handle(MessageSource.GATE, item, house.clock.ms):
                 data = frame(sent.kind, sent.id, sent.body)
                 await loop.sock_sendall(controller.line, data)
         await asyncio.sleep(0.001)

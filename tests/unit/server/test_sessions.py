@@ -11,7 +11,7 @@ from functools import wraps
 from typing import Any
 
 from authguard_r.core.errors import ControllerError, MalformedError
-from authguard_r.server.sessions import FRAME_S, HELLO_S, READ_S, Session
+from authguard_r.server.sessions import FRAME_S, HELLO_S, READ_S, ServerSession
 from authguard_r.wire.frames import frame, raw_frame
 from authguard_r.wire.messages import ClientRole, Kind, Nothing, Observe
 from fixtures import frame_streams
@@ -352,7 +352,7 @@ async def test_a_session_that_is_over_takes_nothing_more() -> None:
 @in_loop
 async def test_a_session_without_a_connection_does_nothing() -> None:
     hall, timers = Noted(), Timers()
-    session = Session(hall, timers.later)
+    session = ServerSession(hall, timers.later)
     session.write(SEEN)
     session.pause()
     session.resume()

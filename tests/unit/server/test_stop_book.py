@@ -10,7 +10,7 @@ import pytest
 from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.server.braking import PATIENCE_MS
 from authguard_r.server.stop_recorder import _SAME_MS
-from authguard_r.wire.messages import Act, ClientRole, Kind, Order, Stop
+from authguard_r.wire.messages import ClientRole, Kind, Order, OrderKind, Stop
 from unit.server.demo_site import House
 
 OPERATOR, AUDITOR, PLANNER = ClientRole.OPERATOR, ClientRole.AUDITOR, ClientRole.PLANNER
@@ -81,7 +81,7 @@ def test_an_operators_stop_that_is_asked_for_still_suspends_what_was_resumed() -
         house.activate()
         house.stop(OPERATOR, 1, stood_ms=None, key="one")
         assert house.standing.status == "suspended"
-        resume = Order(act=Act.COMMAND, token=house.order(Verb.RESUME))
+        resume = Order(act=OrderKind.COMMAND, token=house.order(Verb.RESUME))
         house.enter(OPERATOR).ask(Kind.ORDER, resume)
         assert house.standing.status == "active"
         house.stop(OPERATOR, 2, stood_ms=None, key="one")
@@ -132,7 +132,7 @@ def test_an_operators_stop_that_joins_another_suspends_what_was_resumed_meanwhil
         hand.say(Kind.STOP, Stop(why="first", key="one"))
         house.pump()
         assert house.standing.status == "suspended"
-        resume = Order(act=Act.COMMAND, token=house.order(Verb.RESUME))
+        resume = Order(act=OrderKind.COMMAND, token=house.order(Verb.RESUME))
         house.enter(OPERATOR, "other").ask(Kind.ORDER, resume)
         assert house.standing.status == "active"
         hand.say(Kind.STOP, Stop(why="second", key="two"))

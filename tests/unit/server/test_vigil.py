@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 
 from authguard_r.operations.simulation import Simulation
-from authguard_r.server.event_bus import Notices
-from authguard_r.server.event_log import Journal
+from authguard_r.server.event_bus import EventBus
+from authguard_r.server.event_log import EventLog
 from authguard_r.server.liveness import Liveness
-from authguard_r.server.log_maintenance import Vigil
+from authguard_r.server.log_maintenance import LogMaintenance
 from authguard_r.store.memory import MemoryStore
 from fixtures import scenarios
 from fixtures.gate_process import until
@@ -33,9 +33,9 @@ class Watched:
         self._path = journal
         self._file = os.open(journal, os.O_WRONLY | os.O_CREAT | os.O_NONBLOCK)
         ledger = sim.gate.ledger
-        notices = Notices(ledger, lambda: (), Journal(self._file))
+        notices = EventBus(ledger, lambda: (), EventLog(self._file))
         self.liveness = Liveness(config(), ledger.mono_ms, notices.alert)
-        self.vigil = Vigil(sim.gate.anchor, self.liveness, notices)
+        self.vigil = LogMaintenance(sim.gate.anchor, self.liveness, notices)
         self.vigil.begin()
 
     def told(self) -> list[str]:

@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from authguard_r.client.controller import Channel, ControllerDesk, Sent
+from authguard_r.client.controller import ControllerDesk, MessageSource, OutgoingMessage
 from authguard_r.client.handshake import Greeting
 from authguard_r.client.proof import Proven, prove
 from authguard_r.core.action import Action
@@ -111,7 +111,7 @@ class Bench:
         faults: Faults | None = None,
         brake_mm_s2: int | None = BRAKE_MM_S2,
         at: str = "dock",
-        opened: tuple[Channel, ...] = (Channel.GATE, Channel.STOP),
+        opened: tuple[MessageSource, ...] = (MessageSource.GATE, MessageSource.STOP),
         rid: RobotId = scenarios.RID,
     ) -> None:
         self.robot = SymbolicRobot(
@@ -124,24 +124,30 @@ class Bench:
         )
         self.now_ms = 5_000
         self.desk = ControllerDesk(SymbolicBody(self.robot), life=LIFE, now_ms=self.now_ms)
-        self.sent: list[Sent] = []
+        self.sent: list[OutgoingMessage] = []
         for channel in opened:
             self.open(channel)
 
-    def open(self, channel: Channel = Channel.GATE) -> None:
+    def open(self, channel: MessageSource = MessageSource.GATE) -> None:
         self.sent += self.desk.opened(channel, proven(), self.now_ms)
 
-    def close(self, channel: Channel = Channel.GATE) -> None:
+    def close(self, channel: MessageSource = MessageSource.GATE) -> None:
         self.sent += self.desk.closed(channel, self.now_ms)
 
     def say(
-        self, kind: Kind, message: object, channel: Channel = Channel.GATE, number: int = 0
-    ) -> list[Sent]:
+        self,
+        kind: Kind,
+        message: object,
+        channel: MessageSource = MessageSource.GATE,
+        number: int = 0,
+    ) -> list[OutgoingMessage]:
         got = self.desk.handle(channel, framed(kind, message, number), self.now_ms)
         self.sent += got
         return list(got)
 
-    def dispatch(self, action: Action | None = None, number: int = 1, **changes: Any) -> list[Sent]:
+    def dispatch(
+        self, action: Action | None = None, number: int = 1, **changes: Any
+    ) -> list[OutgoingMessage]:
         order: dict[str, Any] = {
             "ticket": ticket(number),
             "action": action or scenarios.navigate("dock", "pharmacy", speed=800),
@@ -150,13 +156,15 @@ class Bench:
             "life": LIFE,
             "stops": self.desk.stops,
         }
-        channel = changes.pop("channel", Channel.GATE)
+        channel = changes.pop("channel", MessageSource.GATE)
         return self.say(Kind.DISPATCH, Dispatch(**{**order, **changes}), channel, 77)
 
     def renew(self, number: int = 1) -> None:
         self.say(Kind.RENEW, Renew(ticket=ticket(number)))
 
-    def halt(self, channel: Channel = Channel.GATE, number: int = 9) -> list[Sent]:
+    def halt(
+        self, channel: MessageSource = MessageSource.GATE, number: int = 9
+    ) -> list[OutgoingMessage]:
         return self.say(Kind.HALT, Halt(), channel, number)
 
     def sample(self, number: int = 1, **params: int) -> None:
@@ -182,7 +190,7 @@ class Bench:
     def speed(self) -> int:
         return self.robot.state.speed_mm_s
 
-    def said(self, channel: Channel | None = None) -> list[tuple[str, str, str]]:
+    def said(self, channel: MessageSource | None = None) -> list[tuple[str, str, str]]:
         """Return kind, outcome or number of stops, and why, of everything that was sent."""
         return [
             (

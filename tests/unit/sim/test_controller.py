@@ -7,7 +7,7 @@ from math import hypot
 
 import pytest
 
-from authguard_r.client.controller import SAMPLE_MS, STEP_MS, Channel
+from authguard_r.client.controller import SAMPLE_MS, STEP_MS, MessageSource
 from authguard_r.client.proof import Proven
 from authguard_r.core.errors import MalformedError
 from authguard_r.sim.body import SymbolicBody
@@ -35,7 +35,7 @@ def test_an_action_that_is_renewed_is_carried_out_and_reported() -> None:
     bench = Bench()
     bench.dispatch()
     bench.wait(60_000)
-    assert bench.said(Channel.GATE) == [
+    assert bench.said(MessageSource.GATE) == [
         ("STOOD", "0", ""),
         ("BEGUN", "", ""),
         ("ENDED", "succeeded", ""),
@@ -57,9 +57,9 @@ def test_nothing_is_heard_before_the_server_has_proved_itself() -> None:
 
 
 def test_the_stop_lane_moves_nothing() -> None:
-    bench = Bench(opened=(Channel.STOP,))
+    bench = Bench(opened=(MessageSource.STOP,))
     here = bench.place
-    assert bench.dispatch(channel=Channel.STOP) == []
+    assert bench.dispatch(channel=MessageSource.STOP) == []
     bench.wait(5_000)
     assert (bench.place, bench.sent) == (here, [])
 
@@ -75,8 +75,8 @@ def test_the_stop_lane_cannot_keep_an_action_alive() -> None:
         stops=0,
     )
     for _ in range(30):
-        bench.say(Kind.RENEW, {"ticket": ticket(1)}, Channel.STOP)
-        bench.say(Kind.DISPATCH, order, Channel.STOP)
+        bench.say(Kind.RENEW, {"ticket": ticket(1)}, MessageSource.STOP)
+        bench.say(Kind.DISPATCH, order, MessageSource.STOP)
         bench.wait(20, renewing=None)
     assert (bench.desk.stops, bench.speed < 800) == (1, True)
 
@@ -93,7 +93,7 @@ def test_a_gate_that_is_gone_is_not_heard_any_more() -> None:
 def test_a_proof_for_another_robot_is_a_fault_of_ours() -> None:
     bench = Bench(opened=(), rid=scenarios.OTHER)
     with pytest.raises(RuntimeError):
-        bench.desk.opened(Channel.GATE, proven(), bench.now_ms)
+        bench.desk.opened(MessageSource.GATE, proven(), bench.now_ms)
     assert bench.dispatch() == []
 
 
@@ -123,8 +123,8 @@ def test_without_renewals_the_robot_brakes_by_itself(every_ms: int) -> None:
     assert bench.speed == 800
     bench.wait(20 + STEP_MS + 800 * 1_000 // BRAKE_MM_S2 + every_ms, renewing=None)
     assert bench.speed == 0
-    assert bench.said(Channel.GATE) == [LOST, ("STOOD", "1", "")]
-    assert bench.said(Channel.STOP) == []
+    assert bench.said(MessageSource.GATE) == [LOST, ("STOOD", "1", "")]
+    assert bench.said(MessageSource.STOP) == []
 
 
 def test_a_renewal_of_another_action_renews_nothing() -> None:
@@ -150,12 +150,12 @@ def test_the_way_of_braking_is_v_squared_over_two_a() -> None:
                 way = hypot(bench.place[0] - begun[0], bench.place[1] - begun[1])
                 assert speeds == sorted(speeds, reverse=True)
                 assert abs(way - speed * speed / (2 * BRAKE_MM_S2)) <= speed * STEP_MS / 1_000 + 2
-                assert bench.said(Channel.GATE)[-2:] == [STOPPED, ("STOOD", "1", "")]
+                assert bench.said(MessageSource.GATE)[-2:] == [STOPPED, ("STOOD", "1", "")]
 
 
 def test_the_robot_stands_only_when_it_stands() -> None:
     bench = moving()
-    assert bench.halt(Channel.STOP) == []
+    assert bench.halt(MessageSource.STOP) == []
     needed = 800 * 1_000 // BRAKE_MM_S2
     bench.wait(needed - STEP_MS)
     assert bench.sent == []
@@ -164,8 +164,8 @@ def test_the_robot_stands_only_when_it_stands() -> None:
     assert seen is not None
     assert seen.readings["speed_mm_s"].value == bench.speed
     bench.wait(2 * STEP_MS)
-    assert bench.said(Channel.GATE) == [STOPPED, ("STOOD", "1", "")]
-    assert bench.said(Channel.STOP) == [("STOOD", "1", "")]
+    assert bench.said(MessageSource.GATE) == [STOPPED, ("STOOD", "1", "")]
+    assert bench.said(MessageSource.STOP) == [("STOOD", "1", "")]
     assert [sent.id for sent in bench.sent] == [0, 9, 0]
 
 
@@ -179,28 +179,32 @@ def test_a_robot_whose_profile_says_nothing_of_brakes_stands_at_once() -> None:
 def test_a_stop_of_a_robot_that_stands_is_answered_and_counted() -> None:
     bench = Bench()
     bench.sent.clear()
-    bench.halt(Channel.STOP, 5)
-    bench.halt(Channel.GATE, 6)
+    bench.halt(MessageSource.STOP, 5)
+    bench.halt(MessageSource.GATE, 6)
     assert [(sent.channel, sent.id, sent.body.stops) for sent in bench.sent] == [
-        (Channel.STOP, 5, 1),
-        (Channel.GATE, 0, 1),
-        (Channel.GATE, 6, 2),
+        (MessageSource.STOP, 5, 1),
+        (MessageSource.GATE, 0, 1),
+        (MessageSource.GATE, 6, 2),
     ]
 
 
 def test_stops_that_come_while_one_is_carried_out_join_it() -> None:
     bench = moving()
     for number in (1, 2, 2, 2):
-        bench.halt(Channel.STOP, number)
-    bench.halt(Channel.GATE, 3)
+        bench.halt(MessageSource.STOP, number)
+    bench.halt(MessageSource.GATE, 3)
     bench.wait(5_000)
     answers = [(s.channel, s.id, s.body.stops) for s in bench.sent if s.kind is Kind.STOOD]
-    assert answers == [(Channel.STOP, 1, 1), (Channel.STOP, 2, 1), (Channel.GATE, 3, 1)]
+    assert answers == [
+        (MessageSource.STOP, 1, 1),
+        (MessageSource.STOP, 2, 1),
+        (MessageSource.GATE, 3, 1),
+    ]
 
 
 def test_an_action_that_was_decided_before_a_stop_is_refused_after_it() -> None:
     bench = Bench()
-    bench.halt(Channel.STOP)  # the gate has not heard of it yet
+    bench.halt(MessageSource.STOP)  # the gate has not heard of it yet
     bench.sent.clear()
     bench.dispatch(stops=0)
     assert bench.said() == [("ENDED", "not_started", "STOPPED")]
@@ -221,7 +225,7 @@ def test_nothing_begins_while_the_robot_brakes() -> None:
 @pytest.mark.parametrize("life", [0, LIFE - 1, LIFE + 1])
 def test_a_count_of_stops_of_another_start_begins_nothing_however_large_it_is(life: int) -> None:
     bench = Bench()
-    bench.halt(Channel.STOP)
+    bench.halt(MessageSource.STOP)
     bench.sent.clear()
     bench.dispatch(life=life, stops=99)
     assert bench.said() == [("ENDED", "not_started", "STOPPED")]
@@ -234,7 +238,7 @@ def test_a_count_of_stops_of_another_start_begins_nothing_however_large_it_is(li
 def test_every_word_of_a_stop_says_of_which_start_it_is() -> None:
     bench = Bench()
     bench.halt()
-    bench.halt(Channel.STOP)
+    bench.halt(MessageSource.STOP)
     bench.wait(5_000)
     told = [sent.body.life for sent in bench.sent if sent.kind is Kind.STOOD]
     assert set(told) == {LIFE}
@@ -290,7 +294,7 @@ def test_a_lease_ends_without_anybody_saying_so() -> None:
     bench.wait(20 + STEP_MS)
     assert bench.speed < 800
     bench.wait(5_000)
-    assert bench.said(Channel.GATE)[-2:] == [
+    assert bench.said(MessageSource.GATE)[-2:] == [
         ("ENDED", "aborted", "LEASE_ENDED"),
         ("STOOD", "1", ""),
     ]
@@ -332,17 +336,17 @@ def test_the_last_outcome_is_told_to_each_new_gate() -> None:
 
 def test_the_loss_of_the_stop_lane_forgets_who_asked() -> None:
     bench = moving()
-    bench.halt(Channel.STOP)
-    bench.close(Channel.STOP)
-    bench.open(Channel.STOP)
+    bench.halt(MessageSource.STOP)
+    bench.close(MessageSource.STOP)
+    bench.open(MessageSource.STOP)
     bench.wait(5_000)
-    assert bench.said(Channel.STOP) == []
-    assert bench.said(Channel.GATE) == [STOPPED, ("STOOD", "1", "")]
+    assert bench.said(MessageSource.STOP) == []
+    assert bench.said(MessageSource.GATE) == [STOPPED, ("STOOD", "1", "")]
 
 
 def test_a_controller_that_ignores_stops_goes_on_and_never_says_that_it_stands() -> None:
     bench = moving(faults=Faults(ignores_stops=True))
-    bench.halt(Channel.STOP)
+    bench.halt(MessageSource.STOP)
     bench.halt()
     bench.close()
     bench.wait(1_000, renewing=None)
@@ -425,7 +429,7 @@ def test_samples_renew_nothing() -> None:
     for _ in range(40):
         bench.sample(linear_mm_s=200)
         bench.wait(20, renewing=None)
-    assert bench.said(Channel.GATE)[-2:] == [LOST, ("STOOD", "1", "")]
+    assert bench.said(MessageSource.GATE)[-2:] == [LOST, ("STOOD", "1", "")]
 
 
 def test_a_stop_of_a_stream_brakes_along_its_way() -> None:
@@ -473,7 +477,7 @@ def test_what_waited_in_the_socket_renews_nothing_after_a_silence(late: str) -> 
     else:
         bench.sample(linear_mm_s=200)
     bench.wait(1_000)
-    assert bench.said(Channel.GATE)[-2:] == [LOST, ("STOOD", "1", "")]
+    assert bench.said(MessageSource.GATE)[-2:] == [LOST, ("STOOD", "1", "")]
     assert bench.speed == 0
     gone_mm = abs(bench.place[0] - before[0]) + abs(bench.place[1] - before[1])
     assert gone_mm < 200  # not the metre of five seconds
@@ -502,14 +506,14 @@ def test_a_robot_in_a_hurry_moves_faster_and_its_gate_is_missed_as_soon() -> Non
 def test_only_a_proof_opens_a_channel() -> None:
     """The type says it; the frame of a welcome by itself is nothing."""
     bench = Bench(opened=())
-    assert bench.desk.handle(Channel.GATE, framed(Kind.WELCOME, {}), bench.now_ms) == ()
+    assert bench.desk.handle(MessageSource.GATE, framed(Kind.WELCOME, {}), bench.now_ms) == ()
     assert Proven.__struct_fields__ == ("welcome",)
     assert Welcome.__struct_config__.frozen
 
 
 def test_only_a_server_that_proved_itself_and_is_there_counts_as_heard() -> None:
-    bench = Bench(opened=(Channel.GATE,))
-    assert bench.desk.hears(Channel.GATE)
-    assert not bench.desk.hears(Channel.STOP)
+    bench = Bench(opened=(MessageSource.GATE,))
+    assert bench.desk.hears(MessageSource.GATE)
+    assert not bench.desk.hears(MessageSource.STOP)
     bench.close()
-    assert not bench.desk.hears(Channel.GATE)
+    assert not bench.desk.hears(MessageSource.GATE)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from authguard_r.client.controller import KEPT, Channel, ControllerDesk
+from authguard_r.client.controller import KEPT, ControllerDesk, MessageSource
 from authguard_r.core.action import Action
 from authguard_r.core.identifiers import ActionType, Digest
 from authguard_r.core.standing import Outcome, Spend
@@ -197,4 +197,4 @@ def test_only_the_last_ends_are_kept() -> None:
     row.sent.clear()
     row.open()
     assert [end[0] for end in row.ends] == [str(n) for n in range(2, KEPT + 2)]
-    assert all(one.channel is Channel.GATE for one in row.sent)
+    assert all(one.channel is MessageSource.GATE for one in row.sent)

@@ -7,11 +7,11 @@ from typing import Any
 
 import msgspec
 
-from authguard_r.authoring.site.change import Change, Effect, changes, line_of
+from authguard_r.authoring.site.change import ChangeEffect, SiteChange, changes, line_of
 from authguard_r.core.provenance import Label
 from authguard_r.site.model import (
     ActionModel,
-    Emergency,
+    EmergencyPlaces,
     ObjectModel,
     Person,
     PersonRole,
@@ -58,19 +58,29 @@ BOTH = Person(roles=(PersonRole.OPERATOR, PersonRole.SUPERVISOR))
 DOCK = BASE.regions["dock"]
 
 #: The site before, the site after, and the one effect and place that is told.
-ONE: dict[str, tuple[Site, Site, Effect, str]] = {
+ONE: dict[str, tuple[Site, Site, ChangeEffect, str]] = {
     "a wall moved": (
         BASE,
         region("dock", points=(*DOCK.points[:2], (38000, 2999), DOCK.points[3])),
-        Effect.MEANING,
+        ChangeEffect.MEANING,
         "regions.dock.points",
     ),
-    "a tag": (BASE, region("office-1", tags=("public",)), Effect.MEANING, "regions.office-1.tags"),
-    "a parent": (BASE, region("dock", within="pharmacy"), Effect.MEANING, "regions.dock.within"),
+    "a tag": (
+        BASE,
+        region("office-1", tags=("public",)),
+        ChangeEffect.MEANING,
+        "regions.office-1.tags",
+    ),
+    "a parent": (
+        BASE,
+        region("dock", within="pharmacy"),
+        ChangeEffect.MEANING,
+        "regions.dock.within",
+    ),
     "a region more": (
         without("regions", "dock"),
         replace(BASE, regions={**without("regions", "dock").regions, "d": replace(DOCK, names=())}),
-        Effect.ADDS,
+        ChangeEffect.ADDS,
         "regions.d",
     ),
     "an object's class": (
@@ -82,7 +92,7 @@ ONE: dict[str, tuple[Site, Site, Effect, str]] = {
                 "sharps-bin": replace(BASE.objects["sharps-bin"], kind="medicine"),
             },
         ),
-        Effect.MEANING,
+        ChangeEffect.MEANING,
         "objects.sharps-bin.kind",
     ),
     "an object more": (
@@ -90,184 +100,184 @@ ONE: dict[str, tuple[Site, Site, Effect, str]] = {
         replace(
             BASE, objects={**BASE.objects, "box": ObjectModel(kind="box", home="dock", mass_g=1)}
         ),
-        Effect.ADDS,
+        ChangeEffect.ADDS,
         "objects.box",
     ),
-    "a robot less": (BASE, without("robots", "lifter-1"), Effect.REMOVES, "robots.lifter-1"),
+    "a robot less": (BASE, without("robots", "lifter-1"), ChangeEffect.REMOVES, "robots.lifter-1"),
     "a range up": (
         BASE,
         speed(high=3001),
-        Effect.WIDENS,
+        ChangeEffect.WIDENS,
         "vocabulary.navigate.params.speed_mm_s.high",
     ),
     "a range down": (
         BASE,
         speed(high=2999),
-        Effect.NARROWS,
+        ChangeEffect.NARROWS,
         "vocabulary.navigate.params.speed_mm_s.high",
     ),
     "a range's lower end down": (
         BASE,
         speed(low=-1),
-        Effect.WIDENS,
+        ChangeEffect.WIDENS,
         "vocabulary.navigate.params.speed_mm_s.low",
     ),
     "a worse harm": (
         BASE,
         kind("navigate", physical=2),
-        Effect.MEANING,
+        ChangeEffect.MEANING,
         "vocabulary.navigate.physical",
     ),
     "a lesser harm": (
         kind("navigate", physical=2),
         BASE,
-        Effect.MEANING,
+        ChangeEffect.MEANING,
         "vocabulary.navigate.physical",
     ),
     "a channel more": (
         BASE,
         channels(pager="model"),
-        Effect.ADDS,
+        ChangeEffect.ADDS,
         "channels.pager",
     ),
-    "a channel less": (channels(pager="model"), BASE, Effect.REMOVES, "channels.pager"),
+    "a channel less": (channels(pager="model"), BASE, ChangeEffect.REMOVES, "channels.pager"),
     "less trust in a shipped channel": (
         BASE,
         channels(tool="retrieval"),
-        Effect.NARROWS,
+        ChangeEffect.NARROWS,
         "channels.tool",
     ),
     "a shipped channel as it was": (
         channels(tool="retrieval"),
         BASE,
-        Effect.WIDENS,
+        ChangeEffect.WIDENS,
         "channels.tool",
     ),
     "more trust in a channel": (
         channels(pager="camera"),
         channels(pager="audio"),
-        Effect.WIDENS,
+        ChangeEffect.WIDENS,
         "channels.pager",
     ),
     "a shipped channel written out": (
         BASE,
         channels(tool="model"),
-        Effect.ADDS,
+        ChangeEffect.ADDS,
         "channels.tool",
     ),
     "a unit": (
         BASE,
         speed(unit="m/s"),
-        Effect.MEANING,
+        ChangeEffect.MEANING,
         "vocabulary.navigate.params.speed_mm_s.unit",
     ),
     "nobody looks at the real speed": (
         BASE,
         speed(monitored_by=None),
-        Effect.WIDENS,
+        ChangeEffect.WIDENS,
         "vocabulary.navigate.params.speed_mm_s.monitored_by",
     ),
     "somebody does": (
         speed(monitored_by=None),
         BASE,
-        Effect.NARROWS,
+        ChangeEffect.NARROWS,
         "vocabulary.navigate.params.speed_mm_s.monitored_by",
     ),
     "another variable": (
         BASE,
         speed(monitored_by="wheel_speed"),
-        Effect.MEANING,
+        ChangeEffect.MEANING,
         "vocabulary.navigate.params.speed_mm_s.monitored_by",
     ),
     "a recording that is none any more": (
         BASE,
         kind("take_photo", records=False),
-        Effect.WIDENS,
+        ChangeEffect.WIDENS,
         "vocabulary.take_photo.records",
     ),
     "a belief that may be granted": (
         BASE,
         kind("set_pose", state_writing=False),
-        Effect.WIDENS,
+        ChangeEffect.WIDENS,
         "vocabulary.set_pose.state_writing",
     ),
     "a parameter less": (
         BASE,
         kind("wait", params={}),
-        Effect.MEANING,
+        ChangeEffect.MEANING,
         "vocabulary.wait.params.duration_ms",
     ),
     "a type more": (
         BASE,
         replace(BASE, vocabulary={**BASE.vocabulary, "hum": ActionModel(fields=())}),
-        Effect.ADDS,
+        ChangeEffect.ADDS,
         "vocabulary.hum",
     ),
     "a faster robot": (
         BASE,
         profile(max_speed_mm_s=1501),
-        Effect.WIDENS,
+        ChangeEffect.WIDENS,
         "robots.courier-1.profile.max_speed_mm_s",
     ),
     "brakes that nobody knew of": (
         BASE,
         profile(brake_mm_s2=500),
-        Effect.MEANING,
+        ChangeEffect.MEANING,
         "robots.courier-1.profile.brake_mm_s2",
     ),
     "a tool for one type more": (
         BASE,
         profile(tools={**TOOLS, "hum": ("speaker",)}),
-        Effect.WIDENS,
+        ChangeEffect.WIDENS,
         "robots.courier-1.profile.tools.hum",
     ),
     "a tool less": (
         profile(tools={**TOOLS, "wait": ("arm", "base")}),
         BASE,
-        Effect.NARROWS,
+        ChangeEffect.NARROWS,
         "robots.courier-1.profile.tools.wait",
     ),
     "a type that the robot cannot do any more": (
         profile(tools={**TOOLS, "hum": ("speaker",)}),
         BASE,
-        Effect.NARROWS,
+        ChangeEffect.NARROWS,
         "robots.courier-1.profile.tools.hum",
     ),
     "a role more": (
         replace(BASE, people={"ann": OPERATOR}),
         replace(BASE, people={"ann": BOTH}),
-        Effect.WIDENS,
+        ChangeEffect.WIDENS,
         "people.ann.roles",
     ),
-    "a person": (BASE, replace(BASE, people={"ann": OPERATOR}), Effect.ADDS, "people.ann"),
+    "a person": (BASE, replace(BASE, people={"ann": OPERATOR}), ChangeEffect.ADDS, "people.ann"),
     "an emergency place": (
         BASE,
-        replace(BASE, emergency=Emergency(places={"dock": "charging"})),
-        Effect.WIDENS,
+        replace(BASE, emergency=EmergencyPlaces(places={"dock": "charging"})),
+        ChangeEffect.WIDENS,
         "emergency.places.dock",
     ),
     "its purpose": (
-        replace(BASE, emergency=Emergency(places={"dock": "charging"})),
-        replace(BASE, emergency=Emergency(places={"dock": "assembly"})),
-        Effect.MEANING,
+        replace(BASE, emergency=EmergencyPlaces(places={"dock": "charging"})),
+        replace(BASE, emergency=EmergencyPlaces(places={"dock": "assembly"})),
+        ChangeEffect.MEANING,
         "emergency.places.dock",
     ),
-    "a baseline": (BASE, replace(BASE, baseline=("announce",)), Effect.WIDENS, "baseline"),
-    "no baseline": (replace(BASE, baseline=("announce",)), BASE, Effect.NARROWS, "baseline"),
-    "a door less": (BASE, replace(BASE, doors=BASE.doors[1:]), Effect.REMOVES, "doors"),
-    "a door more": (replace(BASE, doors=BASE.doors[1:]), BASE, Effect.ADDS, "doors"),
-    "the site's id": (BASE, replace(BASE, id="hall"), Effect.MEANING, "id"),
-    "the version": (BASE, replace(BASE, version=2), Effect.COUNTS, "version"),
+    "a baseline": (BASE, replace(BASE, baseline=("announce",)), ChangeEffect.WIDENS, "baseline"),
+    "no baseline": (replace(BASE, baseline=("announce",)), BASE, ChangeEffect.NARROWS, "baseline"),
+    "a door less": (BASE, replace(BASE, doors=BASE.doors[1:]), ChangeEffect.REMOVES, "doors"),
+    "a door more": (replace(BASE, doors=BASE.doors[1:]), BASE, ChangeEffect.ADDS, "doors"),
+    "the site's id": (BASE, replace(BASE, id="hall"), ChangeEffect.MEANING, "id"),
+    "the version": (BASE, replace(BASE, version=2), ChangeEffect.COUNTS, "version"),
     "a name more": (
         BASE,
         region("dock", names=(*DOCK.names, "Garage")),
-        Effect.ADDS,
+        ChangeEffect.ADDS,
         "regions named `Garage`",
     ),
     "a name less": (
         BASE,
         region("dock", names=DOCK.names[1:]),
-        Effect.REMOVES,
+        ChangeEffect.REMOVES,
         "regions named `Dock`",
     ),
 }
@@ -302,14 +312,14 @@ def test_the_attack_a_name_that_now_is_another_place_is_told_first() -> None:
         },
     )
     found = changes(BASE, swapped)
-    assert found[0] == Change(
-        effect=Effect.MEANING,
+    assert found[0] == SiteChange(
+        effect=ChangeEffect.MEANING,
         group="names",
         where="regions named `Dock`",
         old="dock",
         new="office-1",
     )
-    order = list(Effect)
+    order = list(ChangeEffect)
     assert [order.index(c.effect) for c in found] == sorted(order.index(c.effect) for c in found)
     assert {c.where for c in found} >= {"regions.annex", "version"}
 

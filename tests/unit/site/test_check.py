@@ -11,11 +11,11 @@ import pytest
 
 from authguard_r.core.provenance import Label
 from authguard_r.site import places
-from authguard_r.site.check import Fault, faults
+from authguard_r.site.check import SiteFault, faults
 from authguard_r.site.model import (
     ActionModel,
     Door,
-    Emergency,
+    EmergencyPlaces,
     ObjectModel,
     Parameter,
     Person,
@@ -288,7 +288,7 @@ BROKEN: dict[str, tuple[Callable[[], Site], str, str]] = {
         "the edge of `dock` or `nook`",
     ),
     "an emergency place that is none": (
-        lambda: site(emergency=Emergency(places={"cellar": "charging"})),
+        lambda: site(emergency=EmergencyPlaces(places={"cellar": "charging"})),
         "emergency.places.cellar",
         "region of this site",
     ),
@@ -471,7 +471,7 @@ SOUND: dict[str, Callable[[], Site]] = {
         "nook", floor=1, points=square(38000, 0), approach=(39000, 1000)
     ),
     "people": lambda: site(people={"ann": person("Ann"), "ben": person("Ben")}),
-    "an emergency place": lambda: site(emergency=Emergency(places={"dock": "charging"})),
+    "an emergency place": lambda: site(emergency=EmergencyPlaces(places={"dock": "charging"})),
     "a baseline": lambda: site(baseline=("announce", "scan_obstacles")),
     "no doors": lambda: site(doors=()),
     "no objects and no robots": lambda: site(objects={}, robots={}),
@@ -520,7 +520,7 @@ def test_every_fault_is_named_in_the_order_of_the_model_s_parts() -> None:
 
 
 def test_a_fault_is_a_value() -> None:
-    assert Fault("a", "b") == Fault(where="a", message="b")
+    assert SiteFault("a", "b") == SiteFault(where="a", message="b")
     assert faults(scenarios.site()) == ()
 
 
@@ -584,7 +584,7 @@ def zigzag(low: int, high: int, within: str | None = None) -> Region:
     return drawn(*below, *((x, y + high) for x, y in reversed(line)), within=within)
 
 
-def timed(model: Site) -> tuple[Fault, ...]:
+def timed(model: Site) -> tuple[SiteFault, ...]:
     """Return the faults, found in time: what hung for minutes takes a few seconds."""
     with at_most(10):
         return faults(model)
@@ -593,7 +593,7 @@ def timed(model: Site) -> tuple[Fault, ...]:
 def test_regions_may_lie_sixteen_deep_and_not_deeper() -> None:
     assert faults(only(nested(MOST_DEPTH + 1))) == ()
     place = f"regions.{lettered(MOST_DEPTH + 1)}.within"
-    deep = Fault(place, f"expected at most {MOST_DEPTH} regions around a region")
+    deep = SiteFault(place, f"expected at most {MOST_DEPTH} regions around a region")
     assert faults(only(nested(MOST_DEPTH + 2))) == (deep,)
 
 
@@ -630,7 +630,7 @@ def test_many_thin_regions_whose_boxes_all_meet_are_refused_and_not_compared(
         for n in range(1_900)
     }
     (told,) = timed(only(strips))
-    assert told == Fault(
+    assert told == SiteFault(
         "regions", f"expected at most {MOST_PAIRS} pairs of regions that are close"
     )
     few = dict(list(strips.items())[:30])
@@ -672,12 +672,12 @@ def test_a_name_has_at_most_two_hundred_characters_and_a_thing_sixty_four_names(
     assert faults(region("dock", names=("x" * MOST_CHARACTERS,))) == ()
     found = faults(region("dock", names=("Bay", "x" * (MOST_CHARACTERS + 1))))
     message = f"expected at most {MOST_CHARACTERS} characters, got {MOST_CHARACTERS + 1}"
-    assert found == (Fault("regions.dock.names[1]", message),)
+    assert found == (SiteFault("regions.dock.names[1]", message),)
     names = tuple(f"bay {lettered(n)}" for n in range(MOST_NAMES + 1))
     assert faults(thing("sharps-bin", names=names[1:])) == ()
     message = f"expected at most {MOST_NAMES} names, got {MOST_NAMES + 1}"
     found = faults(thing("sharps-bin", names=names))
-    assert found == (Fault("objects.sharps-bin.names", message),)
+    assert found == (SiteFault("objects.sharps-bin.names", message),)
 
 
 def test_one_parameter_name_in_two_units_cannot_be_sound() -> None:

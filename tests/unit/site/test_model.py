@@ -14,7 +14,7 @@ from authguard_r.core.geometry import polygon
 from authguard_r.core.reasons import Reason
 from authguard_r.site.model import (
     ActionModel,
-    Emergency,
+    EmergencyPlaces,
     Person,
     PersonRole,
     Profile,
@@ -154,7 +154,7 @@ def test_what_a_site_leaves_out_is_not_in_its_digest() -> None:
     ("part", "value"),
     [
         ("people", {"ann": Person(roles=(PersonRole.OPERATOR,), names=("Ann",))}),
-        ("emergency", Emergency(places={"dock": "charging"})),
+        ("emergency", EmergencyPlaces(places={"dock": "charging"})),
         ("baseline", ("announce",)),
     ],
 )

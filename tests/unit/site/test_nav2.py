@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from authguard_r.authoring.site.nav2 import MOST_CELLS, import_map
-from authguard_r.authoring.site.proposal import Proposal, to_yaml
+from authguard_r.authoring.site.proposal import SiteProposal, to_yaml
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.site.check import faults, unreviewed
 from authguard_r.site.model import Site
@@ -59,7 +59,7 @@ def written(folder: Path, image: bytes | None, yaml: str = YAML) -> Path:
     return path
 
 
-def imported(path: Path, least: int = 1_000) -> Proposal:
+def imported(path: Path, least: int = 1_000) -> SiteProposal:
     return import_map(path, site="hall", floor=2, min_area_mm2=least)
 
 

@@ -10,7 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from authguard_r.authoring.site.proposal import Proposal, exact, identifier, millimeters, to_yaml
+from authguard_r.authoring.site.proposal import (
+    SiteProposal,
+    exact,
+    identifier,
+    millimeters,
+    to_yaml,
+)
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import is_identifier
 from authguard_r.site.source import parse_site
@@ -77,7 +83,7 @@ def test_a_file_with_any_names_reads_as_the_site_or_is_refused(names: list[str])
     region = replace(scenarios.site().regions["dock"], names=tuple(names))
     site = replace(scenarios.site(), regions={"r": region}, doors=(), objects={}, robots={})
     try:
-        text = to_yaml(Proposal(site=site, missing=()), where="x")
+        text = to_yaml(SiteProposal(site=site, missing=()), where="x")
     except MalformedError:
         return
     assert parse_site(text, where="x") == site
@@ -88,7 +94,7 @@ def test_a_name_that_a_reader_of_yaml_would_mend_is_refused(name: str) -> None:
     region = replace(scenarios.site().regions["dock"], names=(name,))
     site = replace(scenarios.site(), regions={"r": region}, doors=(), objects={}, robots={})
     with pytest.raises(MalformedError, match="printable"):
-        to_yaml(Proposal(site=site, missing=()), where="x")
+        to_yaml(SiteProposal(site=site, missing=()), where="x")
 
 
 def test_a_name_that_yaml_would_read_as_something_else_stays_that_name() -> None:
@@ -97,17 +103,17 @@ def test_a_name_that_yaml_would_read_as_something_else_stays_that_name() -> None
             region = replace(scenarios.site().regions["dock"], names=(name,))
             site = replace(scenarios.site(), regions={"1": region}, doors=(), objects={}, robots={})
             assert (
-                parse_site(to_yaml(Proposal(site=site, missing=("x",)), where="x"), where="x")
+                parse_site(to_yaml(SiteProposal(site=site, missing=("x",)), where="x"), where="x")
                 == site
             )
 
 
 def test_the_hospital_written_and_read_again_is_the_hospital() -> None:
-    text = to_yaml(Proposal(site=scenarios.site(), missing=()), where="x")
+    text = to_yaml(SiteProposal(site=scenarios.site(), missing=()), where="x")
     assert parse_site(text, where="x") == scenarios.site()
 
 
 def test_a_site_longer_than_a_site_may_be_is_not_written() -> None:
     with pytest.raises(MalformedError) as caught:
-        to_yaml(Proposal(site=scenarios.site(), missing=("a" * (1 << 20),)), where="x")
+        to_yaml(SiteProposal(site=scenarios.site(), missing=("a" * (1 << 20),)), where="x")
     assert caught.value.where == "x"

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from authguard_r.authoring.site.proposal import UNKNOWN_MASS_G, Proposal, to_yaml
+from authguard_r.authoring.site.proposal import UNKNOWN_MASS_G, SiteProposal, to_yaml
 from authguard_r.authoring.site.scene import MOST, import_scene
 from authguard_r.core.errors import MalformedError
 from authguard_r.site.check import faults, unreviewed
@@ -38,7 +38,7 @@ GRAPH: dict[str, Any] = {
 }
 
 
-def imported(graph: Any, radius_mm: int = 500) -> Proposal:
+def imported(graph: Any, radius_mm: int = 500) -> SiteProposal:
     text = graph if isinstance(graph, str) else json.dumps(graph)
     return import_scene(text, site="scene", floor=3, radius_mm=radius_mm, where="g")
 

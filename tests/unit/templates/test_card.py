@@ -16,7 +16,7 @@ from authguard_r.authoring.templates.card import (
 )
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.reasons import Reason
-from authguard_r.enforcement.confirmation import How
+from authguard_r.enforcement.confirmation import ConfirmationMode
 from authguard_r.enforcement.templates import Hole, HoleKind
 from authguard_r.enforcement.templates.confirmation import confirm_template, confirmation_bytes
 from authguard_r.operations.simulation import Simulation
@@ -90,7 +90,7 @@ def test_numbers_are_not_looked_up() -> None:
     require_known(edited(holes={**template().holes, "speed": speed}), SITE)
 
 
-def said(how: How = How.INTERACTIVE) -> bytes:
+def said(how: ConfirmationMode = ConfirmationMode.INTERACTIVE) -> bytes:
     card = card_digest(tuple(review_template(template(), every_mission(template()), SITE)))
     accepted = (LintCode.UNGUARDED_RETURN,)
     record = confirm_template(template(), card=card, how=how, accepted=accepted, now=scenarios.NOW)
@@ -118,7 +118,7 @@ def test_without_a_confirmation_the_log_says_so() -> None:
 
 
 OTHER = confirm_template(
-    edited(instances=51), card=None, how=How.SCRIPT, accepted=(), now=scenarios.NOW
+    edited(instances=51), card=None, how=ConfirmationMode.SCRIPT, accepted=(), now=scenarios.NOW
 )
 
 

@@ -11,7 +11,7 @@ from authguard_r.core.identifiers import Digest
 from authguard_r.core.quantities import to_ms
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import VerifiedMission
-from authguard_r.enforcement.templates import Pair, held_mission
+from authguard_r.enforcement.templates import InstancePair, held_mission
 from fixtures import scenarios, templates
 from fixtures.cases import case
 
@@ -21,7 +21,7 @@ DIGEST = digest_of(Tag.MISSION, MISSION)
 
 def pair(instance: bytes, template: bytes) -> bytes:
     texts = [token.decode("ascii").strip() for token in (instance, template)]
-    return encode_fast(Pair(instance=texts[0], template=texts[1]))
+    return encode_fast(InstancePair(instance=texts[0], template=texts[1]))
 
 
 def test_what_is_held_is_the_mission_and_no_authority() -> None:

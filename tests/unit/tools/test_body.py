@@ -13,13 +13,13 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from authguard_r.client.controller import Told
-from authguard_r.client.link import Log
+from authguard_r.client.controller import ExecutionNews
+from authguard_r.client.link import ProcessLog
 from authguard_r.core.errors import ControllerError
 from authguard_r.core.standing import Outcome
 from authguard_r.integrations.tools import body as body_module
-from authguard_r.integrations.tools.body import Means, ToolBody, ToolFlight
-from authguard_r.integrations.tools.server import Answer, CallError
+from authguard_r.integrations.tools.body import ToolBody, ToolDrivers, ToolGoal
+from authguard_r.integrations.tools.server import CallError, ToolAnswer
 from authguard_r.normalize import Binder
 from authguard_r.normalize.dialects import Call
 from authguard_r.normalize.rebuild import Rebuilder
@@ -33,7 +33,7 @@ class Silent:
 
     async def call(
         self, tool: str, arguments: dict[str, Any], within_s: float, *, ticket: str | None = None
-    ) -> Answer:
+    ) -> ToolAnswer:
         raise CallError("nobody listens", sent=False)
 
 
@@ -42,13 +42,13 @@ class Robot:
 
     ready = True
 
-    def __init__(self, **words: list[Answer | CallError | None]) -> None:
+    def __init__(self, **words: list[ToolAnswer | CallError | None]) -> None:
         self.words = words
         self.calls: list[str] = []
 
     async def call(
         self, tool: str, arguments: dict[str, Any], within_s: float, *, ticket: str | None = None
-    ) -> Answer:
+    ) -> ToolAnswer:
         assert ticket == (TICKET if tool == "navigate_to" else None)
         self.calls.append(tool)
         left = self.words[tool]
@@ -61,7 +61,7 @@ class Robot:
         return word
 
 
-DONE, ERROR = Answer(is_error=False), Answer(is_error=True)
+DONE, ERROR = ToolAnswer(is_error=False), ToolAnswer(is_error=True)
 LOST = CallError("nobody answers", sent=True)
 GO, TICKET = scenarios.navigate("dock", "pharmacy"), scenarios.TICKET
 
@@ -77,13 +77,13 @@ def body_of(
     say = replace(binding.tools["say"], succeeds=demand or {})
     go = replace(binding.tools["navigate_to"], **(moves or {}))
     binding = replace(binding, tools={**binding.tools, "say": say, "navigate_to": go})
-    means = Means(
+    means = ToolDrivers(
         site=scenarios.site(),
         binder=Binder(scenarios.site(), binding),
         rebuilder=Rebuilder(scenarios.site(), binding),
         stops=tuple(Call(stop, {"text": "halt"}, "stop") for stop in stops),
     )
-    return ToolBody(scenarios.RID, robot, means, lambda: None, Log())
+    return ToolBody(scenarios.RID, robot, means, lambda: None, ProcessLog())
 
 
 async def until(holds: Callable[[], object]) -> None:
@@ -160,7 +160,7 @@ def test_a_stop_that_failed_once_is_tried_again() -> None:
 
 def test_what_the_binding_demands_of_a_stop_call_has_to_stand_in_its_answer() -> None:
     async def talk() -> None:
-        no, yes = (Answer(is_error=False, structured={"ok": ok}) for ok in (False, True))
+        no, yes = (ToolAnswer(is_error=False, structured={"ok": ok}) for ok in (False, True))
         robot = Robot(navigate_to=[None], say=[no, yes])
         body = body_of(robot, "say", demand={"ok": True})
         body.begin(GO, TICKET)
@@ -210,21 +210,21 @@ def test_who_lets_go_in_mid_motion_stops_first_and_does_not_wait_for_ever(
 
 def test_the_first_word_on_how_it_ended_counts() -> None:
     kind = scenarios.site().vocabulary[scenarios.navigate("dock", "pharmacy").type]
-    flight = ToolFlight(kind)
-    flight.end(Outcome.FAILED, Told(b"x", ("x",)))
+    flight = ToolGoal(kind)
+    flight.end(Outcome.FAILED, ExecutionNews(b"x", ("x",)))
     flight.end(Outcome.SUCCEEDED)
-    assert (flight.outcome(), flight.told()) == (Outcome.FAILED, Told(b"x", ("x",)))
+    assert (flight.outcome(), flight.told()) == (Outcome.FAILED, ExecutionNews(b"x", ("x",)))
 
 
 def test_a_call_that_was_never_made_leaves_a_robot_that_stands() -> None:
     async def talk() -> None:
         ended = asyncio.Event()
-        means = Means(
+        means = ToolDrivers(
             site=scenarios.site(),
             binder=Binder(scenarios.site(), scenarios.binding()),
             rebuilder=Rebuilder(scenarios.site(), scenarios.binding()),
         )
-        body = ToolBody(scenarios.RID, Silent(), means, ended.set, Log())
+        body = ToolBody(scenarios.RID, Silent(), means, ended.set, ProcessLog())
         flight = body.begin(GO, TICKET)
         assert not body.stands
         await ended.wait()
@@ -239,19 +239,19 @@ def test_a_call_that_was_never_made_leaves_a_robot_that_stands() -> None:
 class Broken(Silent):
     """A server whose answer cannot be carried."""
 
-    async def call(self, *_: Any, **__: Any) -> Answer:
+    async def call(self, *_: Any, **__: Any) -> ToolAnswer:
         raise ZeroDivisionError("a pattern of the server's own")
 
 
 def test_a_fault_while_an_answer_is_carried_ends_its_call_and_is_said(capsys: Any) -> None:
     async def talk() -> None:
         ended = asyncio.Event()
-        means = Means(
+        means = ToolDrivers(
             site=scenarios.site(),
             binder=Binder(scenarios.site(), scenarios.binding()),
             rebuilder=Rebuilder(scenarios.site(), scenarios.binding()),
         )
-        body = ToolBody(scenarios.RID, Broken(), means, ended.set, Log())
+        body = ToolBody(scenarios.RID, Broken(), means, ended.set, ProcessLog())
         flight = body.begin(GO, TICKET)
         async with asyncio.timeout(10):
             await ended.wait()

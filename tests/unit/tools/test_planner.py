@@ -10,12 +10,12 @@ import asyncio
 
 import pytest
 
-from authguard_r.integrations.tools.planner import Turn
+from authguard_r.integrations.tools.planner import PlannerTurn
 
 
 def test_a_call_that_was_canceled_keeps_its_turn_until_the_gate_has_answered() -> None:
     async def run() -> None:
-        turn, answered, order = Turn(), asyncio.Event(), list[str]()
+        turn, answered, order = PlannerTurn(), asyncio.Event(), list[str]()
 
         async def gate() -> None:
             await answered.wait()
@@ -53,7 +53,7 @@ def test_a_call_that_was_canceled_keeps_its_turn_until_the_gate_has_answered() -
 
 def test_what_fails_when_nobody_waits_is_nobodys_error() -> None:
     async def run() -> None:
-        turn, failing = Turn(), asyncio.Event()
+        turn, failing = PlannerTurn(), asyncio.Event()
         loop, said = asyncio.get_running_loop(), list[object]()
         loop.set_exception_handler(lambda _, context: said.append(context))
 

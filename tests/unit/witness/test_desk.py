@@ -24,8 +24,14 @@ from authguard_r.core.reasons import Reason
 from authguard_r.keys.algorithms import Algorithm
 from authguard_r.keys.notes import verify_note
 from authguard_r.witness import files, service, state
-from authguard_r.witness.rules import Finding
-from authguard_r.witness.service import Answer, forget, make_witness, open_witness, register
+from authguard_r.witness.rules import RequestFinding
+from authguard_r.witness.service import (
+    WitnessResponse,
+    forget,
+    make_witness,
+    open_witness,
+    register,
+)
 from authguard_r.witness.state import (
     MOST_KEPT,
     open_book,
@@ -49,7 +55,7 @@ def folder(tmp_path: Path, log: Log) -> Path:
     return make(tmp_path / "w", log)
 
 
-def ask(folder: Path, body: bytes, time_s: int = NOW_S) -> Answer:
+def ask(folder: Path, body: bytes, time_s: int = NOW_S) -> WitnessResponse:
     with opened(folder) as witness:
         return witness.answer(body, time_s)
 
@@ -106,7 +112,7 @@ def test_of_requests_at_once_those_that_contradict_each_other_are_not_both_signe
     folder = make(tmp_path / "w", log)
     logs = [log if identical else log.fork(5, bytes([n])).grow(15) for n in range(8)]
     bodies = [one.ask(0) for one in logs]
-    answers: list[Answer] = []
+    answers: list[WitnessResponse] = []
     with opened(folder) as witness:
         together = threading.Barrier(len(bodies))
 
@@ -133,7 +139,7 @@ def test_what_a_log_signed_and_should_not_have_is_kept(folder: Path, log: Log) -
         ask(folder, body, NOW_S + 1)
     found = read_evidence(folder)
     assert {one.finding for one in found} == {"stale", "behind", "forked", "unproven"}
-    forked = next(one for one in found if one.finding is Finding.FORKED)
+    forked = next(one for one in found if one.finding is RequestFinding.FORKED)
     # two signatures of one log over two logs: whoever knows its key can see that
     for note in (forked.note, forked.against):
         assert len(verify_note(read_note(note.encode(), where="kept"), log.keys, where="kept")) == 1

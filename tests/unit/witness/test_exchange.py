@@ -9,23 +9,23 @@ import random
 
 import pytest
 
-from authguard_r.witness.exchange import MAX_HEAD, Broken, Reader, Request, answer_bytes
+from authguard_r.witness.exchange import MAX_HEAD, Broken, HttpRequest, RequestReader, answer_bytes
 from authguard_r.witness.rules import MAX_BYTES
 from fixtures.cases import case
 
 POST = b"POST /add-checkpoint HTTP/1.1\r\nHost: w\r\nContent-Length: 3\r\n\r\nabc"
 
 
-def read(data: bytes) -> Request | Broken | None:
-    reader = Reader()
+def read(data: bytes) -> HttpRequest | Broken | None:
+    reader = RequestReader()
     reader.feed(data)
     return reader.next()
 
 
 def test_a_request_is_read_however_it_is_cut() -> None:
-    expected = Request(method="POST", target="/add-checkpoint", body=b"abc", stays=True)
+    expected = HttpRequest(method="POST", target="/add-checkpoint", body=b"abc", stays=True)
     assert read(POST) == expected
-    reader = Reader()
+    reader = RequestReader()
     for byte in POST[:-1]:
         reader.feed(bytes([byte]))
         assert reader.next() is None
@@ -36,10 +36,10 @@ def test_a_request_is_read_however_it_is_cut() -> None:
 
 
 def test_requests_on_one_line_are_read_in_order() -> None:
-    reader = Reader()
+    reader = RequestReader()
     reader.feed(POST + POST.replace(b"abc", b"def") + b"GET / HTTP/1.1\r\n\r\n")
     found = [reader.next() for _ in range(4)]
-    assert [one.body for one in found if isinstance(one, Request)] == [b"abc", b"def", b""]
+    assert [one.body for one in found if isinstance(one, HttpRequest)] == [b"abc", b"def", b""]
     assert found[3] is None
 
 
@@ -84,12 +84,12 @@ def test_what_is_doubtful_is_refused() -> None:
 
 def test_the_near_misses_are_read() -> None:
     whole = b"POST / HTTP/1.1\r\nCONTENT-LENGTH:\t3 \r\nA: \xe4\r\nA: again\r\n\r\nabc"
-    assert read(whole) == Request(method="POST", target="/", body=b"abc", stays=True)
+    assert read(whole) == HttpRequest(method="POST", target="/", body=b"abc", stays=True)
     most = b"POST / HTTP/1.1\r\nContent-Length: %d\r\n\r\n" % MAX_BYTES
     assert read(most) is None
-    assert isinstance(read(most + b"x" * MAX_BYTES), Request)
+    assert isinstance(read(most + b"x" * MAX_BYTES), HttpRequest)
     line = b"GET / HTTP/1.1\r\nA: %s\r\n\r\n"
-    assert isinstance(read(line % (b"x" * (MAX_HEAD - len(line) + 2))), Request)
+    assert isinstance(read(line % (b"x" * (MAX_HEAD - len(line) + 2))), HttpRequest)
     assert read(b"x" * (MAX_HEAD - 1)) is None
 
 
@@ -105,18 +105,18 @@ def test_the_near_misses_are_read() -> None:
 )
 def test_a_connection_stays_as_http_says(head: bytes, stays: bool) -> None:
     found = read(b"GET / " + head + b"\r\n\r\n")
-    assert isinstance(found, Request)
+    assert isinstance(found, HttpRequest)
     assert found.stays is stays
 
 
 def test_who_waits_to_go_on_is_known_until_it_went_on() -> None:
-    reader = Reader()
+    reader = RequestReader()
     head = b"POST / HTTP/1.1\r\nExpect: 100-Continue\r\nContent-Length: 1\r\n\r\n"
     reader.feed(head)
     assert reader.next() is None
     assert reader.waits
     reader.feed(b"x")
-    assert isinstance(reader.next(), Request)
+    assert isinstance(reader.next(), HttpRequest)
     assert not reader.waits
     reader.feed(head.replace(b"1.1", b"1.0"))
     assert reader.next() is None
@@ -149,7 +149,7 @@ def test_no_bytes_at_all_make_a_traceback_or_fill_the_memory() -> None:
         data = bytearray(POST * 2)
         for _ in range(dice.randrange(1, 6)):
             data[dice.randrange(len(data))] = dice.choice(b"\r\n :0/\x00\xff\tP")
-        reader = Reader()
+        reader = RequestReader()
         reader.feed(bytes(data))
-        while isinstance(found := reader.next(), Request):
+        while isinstance(found := reader.next(), HttpRequest):
             assert len(found.body) <= MAX_BYTES

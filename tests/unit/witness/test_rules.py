@@ -16,22 +16,30 @@ from authguard_r.core.reasons import Reason
 from authguard_r.keys.algorithms import Algorithm, generate
 from authguard_r.keys.notes import cosign, log_key, witness_key
 from authguard_r.witness import rules
-from authguard_r.witness.rules import Finding, judge, own_part, read_request, require_log_keys
+from authguard_r.witness.rules import (
+    RequestFinding,
+    judge,
+    own_part,
+    read_request,
+    require_log_keys,
+)
 from fixtures.cases import case
 from fixtures.witness_process import ORIGIN, Log, request
 
 LOG = Log().grow(20)
 FORK = LOG.fork(8).grow(12)
 STRANGER = Log().grow(20)
-KNOWN = rules.Log(origin=ORIGIN, keys=LOG.keys, size=10, root=LOG.root(10))
-NEW = rules.Log(origin=ORIGIN, keys=LOG.keys)
+KNOWN = rules.WitnessedLog(origin=ORIGIN, keys=LOG.keys, size=10, root=LOG.root(10))
+NEW = rules.WitnessedLog(origin=ORIGIN, keys=LOG.keys)
 
 
-def found(body: bytes, known: rules.Log | None = KNOWN) -> tuple[int, Finding, int | None]:
+def found(
+    body: bytes, known: rules.WitnessedLog | None = KNOWN
+) -> tuple[int, RequestFinding, int | None]:
     try:
         verdict = judge(read_request(body), known)
     except MalformedError:
-        return 400, Finding.MALFORMED, None
+        return 400, RequestFinding.MALFORMED, None
     return verdict.status, verdict.finding, verdict.size
 
 
@@ -41,50 +49,50 @@ def odd(size: int, root: bytes, old: int = 10, proof: tuple[bytes, ...] = ()) ->
     return request(old, proof, LOG.sign(text))
 
 
-ANSWERS: dict[str, tuple[bytes, rules.Log | None, int, Finding, int | None]] = {
-    "the next one": (LOG.ask(10), KNOWN, 200, Finding.COSIGNED, None),
-    "the first one": (LOG.ask(0), NEW, 200, Finding.COSIGNED, None),
-    "the same one again": (LOG.ask(10, 10), KNOWN, 200, Finding.COSIGNED, None),
-    "an empty log": (LOG.ask(0, 0), NEW, 200, Finding.COSIGNED, None),
-    "nobody knows it": (LOG.ask(10), None, 404, Finding.UNKNOWN, None),
-    "another's keys": (STRANGER.ask(10), KNOWN, 403, Finding.UNSIGNED, None),
-    "larger old size": (request(21, (), LOG.note()), KNOWN, 400, Finding.IMPOSSIBLE, None),
-    "old size too small": (LOG.ask(9), KNOWN, 409, Finding.STALE, 10),
-    "old size too large": (LOG.ask(11), KNOWN, 409, Finding.STALE, 10),
-    "asks for the size": (LOG.ask(0), KNOWN, 409, Finding.STALE, 10),
-    "of an unknown size": (LOG.ask(5), NEW, 409, Finding.STALE, 0),
-    "put back": (LOG.ask(7, 9), KNOWN, 409, Finding.BEHIND, 10),
-    "forked, and another old size": (FORK.ask(9, 10), KNOWN, 409, Finding.FORKED, 10),
-    "forked at the same size": (FORK.ask(10, 10), KNOWN, 409, Finding.FORKED, None),
+ANSWERS: dict[str, tuple[bytes, rules.WitnessedLog | None, int, RequestFinding, int | None]] = {
+    "the next one": (LOG.ask(10), KNOWN, 200, RequestFinding.COSIGNED, None),
+    "the first one": (LOG.ask(0), NEW, 200, RequestFinding.COSIGNED, None),
+    "the same one again": (LOG.ask(10, 10), KNOWN, 200, RequestFinding.COSIGNED, None),
+    "an empty log": (LOG.ask(0, 0), NEW, 200, RequestFinding.COSIGNED, None),
+    "nobody knows it": (LOG.ask(10), None, 404, RequestFinding.UNKNOWN, None),
+    "another's keys": (STRANGER.ask(10), KNOWN, 403, RequestFinding.UNSIGNED, None),
+    "larger old size": (request(21, (), LOG.note()), KNOWN, 400, RequestFinding.IMPOSSIBLE, None),
+    "old size too small": (LOG.ask(9), KNOWN, 409, RequestFinding.STALE, 10),
+    "old size too large": (LOG.ask(11), KNOWN, 409, RequestFinding.STALE, 10),
+    "asks for the size": (LOG.ask(0), KNOWN, 409, RequestFinding.STALE, 10),
+    "of an unknown size": (LOG.ask(5), NEW, 409, RequestFinding.STALE, 0),
+    "put back": (LOG.ask(7, 9), KNOWN, 409, RequestFinding.BEHIND, 10),
+    "forked, and another old size": (FORK.ask(9, 10), KNOWN, 409, RequestFinding.FORKED, 10),
+    "forked at the same size": (FORK.ask(10, 10), KNOWN, 409, RequestFinding.FORKED, None),
     "forked, with a proof": (
         odd(10, bytes(32), 10, (bytes(32),)),
         KNOWN,
         409,
-        Finding.FORKED,
+        RequestFinding.FORKED,
         None,
     ),
-    "empty, with another root": (odd(0, bytes(32), 0), NEW, 409, Finding.FORKED, None),
-    "forked before": (FORK.ask(10), KNOWN, 422, Finding.UNPROVEN, None),
-    "without a proof": (request(10, (), LOG.note()), KNOWN, 422, Finding.UNPROVEN, None),
+    "empty, with another root": (odd(0, bytes(32), 0), NEW, 409, RequestFinding.FORKED, None),
+    "forked before": (FORK.ask(10), KNOWN, 422, RequestFinding.UNPROVEN, None),
+    "without a proof": (request(10, (), LOG.note()), KNOWN, 422, RequestFinding.UNPROVEN, None),
     "a proof too much": (
         request(10, (bytes(32),), LOG.note(10)),
         KNOWN,
         422,
-        Finding.UNPROVEN,
+        RequestFinding.UNPROVEN,
         None,
     ),
     "a proof from nothing": (
         request(0, (bytes(32),), LOG.note()),
         NEW,
         422,
-        Finding.UNPROVEN,
+        RequestFinding.UNPROVEN,
         None,
     ),
     "a proof of another": (
         request(10, LOG.proof(9), LOG.note()),
         KNOWN,
         422,
-        Finding.UNPROVEN,
+        RequestFinding.UNPROVEN,
         None,
     ),
 }
@@ -98,8 +106,10 @@ def test_every_answer_is_the_specifications() -> None:
 
 
 def test_every_finding_has_a_status_and_a_case() -> None:
-    assert set(rules.STATUS) == set(Finding)
-    assert {case[3] for case in ANSWERS.values()} == set(Finding) - {Finding.MALFORMED}
+    assert set(rules.STATUS) == set(RequestFinding)
+    assert {case[3] for case in ANSWERS.values()} == set(RequestFinding) - {
+        RequestFinding.MALFORMED
+    }
 
 
 @pytest.mark.parametrize(
@@ -113,7 +123,7 @@ def test_every_finding_has_a_status_and_a_case() -> None:
     ],
 )
 def test_the_first_step_that_fails_answers(
-    earlier: str, later: tuple[bytes, rules.Log | None]
+    earlier: str, later: tuple[bytes, rules.WitnessedLog | None]
 ) -> None:
     assert found(*later)[:2] == ANSWERS[earlier][2:4]
 
@@ -149,7 +159,7 @@ MALFORMED: dict[str, bytes] = {
 def test_what_is_no_request_is_told_from_what_is_wrong() -> None:
     for name in MALFORMED:
         with case(name):
-            assert found(MALFORMED[name])[:2] == (400, Finding.MALFORMED)
+            assert found(MALFORMED[name])[:2] == (400, RequestFinding.MALFORMED)
 
 
 def test_the_longest_proof_and_a_note_with_more_lines_are_read() -> None:
@@ -192,13 +202,13 @@ def test_unknown_keys_are_ignored_beside_the_logs_own() -> None:
 
 def test_of_a_hybrid_log_every_key_has_to_sign() -> None:
     log = Log(Algorithm.ED25519, Algorithm.ML_DSA_65).grow(20)
-    known = rules.Log(origin=ORIGIN, keys=log.keys, size=10, root=log.root(10))
+    known = rules.WitnessedLog(origin=ORIGIN, keys=log.keys, size=10, root=log.root(10))
     assert found(log.ask(10), known)[0] == 200
     for part in (log.sign(log.text()).signatures[:1], log.sign(log.text(), but=1).signatures):
         body = request(10, log.proof(10), Note(log.text(), part))
         assert found(body, known)[0] == 403
     # one of them known alone is not the hybrid that the operator registered
-    alone = rules.Log(origin=ORIGIN, keys=log.keys[:1], size=10, root=log.root(10))
+    alone = rules.WitnessedLog(origin=ORIGIN, keys=log.keys[:1], size=10, root=log.root(10))
     assert (
         found(request(10, log.proof(10), Note(log.text(), log.note().signatures[:1])), alone)[0]
         == 200

@@ -18,9 +18,9 @@ import pytest
 from msgspec.structs import replace
 
 from authguard_r.integrations.http_listener.access import listening
-from authguard_r.integrations.http_listener.admission import Limits
+from authguard_r.integrations.http_listener.admission import AdmissionLimits
 from authguard_r.wire.json_log import Lines
-from authguard_r.witness.server import LIMITS, PATH, Ready, Server, run_witness
+from authguard_r.witness.server import LIMITS, PATH, WitnessReady, WitnessServer, run_witness
 from authguard_r.witness.service import Witness
 from fixtures.witness_process import ORIGIN, SOON_S, Log, make, open_witness
 
@@ -31,7 +31,7 @@ GET = b"GET / HTTP/1.1\r\n\r\n"
 class Door:
     """A server in a thread, and connections to it that say exactly what the test wants."""
 
-    def __init__(self, server: Server, address: Any, waking: socket.socket) -> None:
+    def __init__(self, server: WitnessServer, address: Any, waking: socket.socket) -> None:
         self.server = server
         self._address = address
         self._waking = waking
@@ -79,12 +79,12 @@ def told(tmp_path: Path) -> list[dict[str, Any]]:
 
 
 @contextmanager
-def door(witness: Witness, journal: Lines, limits: Limits = LIMITS) -> Iterator[Door]:
+def door(witness: Witness, journal: Lines, limits: AdmissionLimits = LIMITS) -> Iterator[Door]:
     """A server that serves once it is started, and has ended afterwards."""
     listener = listening("127.0.0.1:0")
     woken, waking = socket.socketpair()
     with listener, woken, waking:
-        server = Server(witness, listener, woken, journal=journal, limits=limits)
+        server = WitnessServer(witness, listener, woken, journal=journal, limits=limits)
         made = Door(server, listener.getsockname(), waking)
         made.start()
         try:
@@ -242,12 +242,14 @@ def test_too_many_make_room_for_the_newest(witness: Witness, journal: Lines, log
             assert answer(last)[0] == 404
 
 
-def idle(witness: Witness, journal: Lines, limits: Limits = LIMITS) -> Iterator[Server]:
+def idle(
+    witness: Witness, journal: Lines, limits: AdmissionLimits = LIMITS
+) -> Iterator[WitnessServer]:
     """A server whose loop the test runs by hand."""
     listener = listening("127.0.0.1:0")
     woken, waking = socket.socketpair()
     with listener, woken, waking:
-        yield Server(witness, listener, woken, journal=journal, limits=limits)
+        yield WitnessServer(witness, listener, woken, journal=journal, limits=limits)
 
 
 by_hand = contextmanager(idle)
@@ -372,10 +374,10 @@ def test_a_fault_of_ours_is_an_answer_that_signs_nothing(
 def test_it_serves_until_it_is_told_to_end(
     witness: Witness, journal: Lines, log: Log, number: signal.Signals
 ) -> None:
-    seen: list[Ready] = []
+    seen: list[WitnessReady] = []
     before = signal.getsignal(number)
 
-    def asks(ready: Ready) -> None:
+    def asks(ready: WitnessReady) -> None:
         seen.append(ready)
         host, _, port = ready.url.partition("//")[2].rpartition(":")
 

@@ -11,7 +11,7 @@ import msgspec
 from authguard_r.anchoring.sealing.wraps import Wrapped, WrappedFor
 from authguard_r.audit.record import WRAP, Record, read_record, read_sealed
 from authguard_r.audit.sealed_envelopes import SEALING, opened
-from authguard_r.audit.verify import Row
+from authguard_r.audit.verify import LogRow
 from authguard_r.core.encoding import encode, unb64
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import RobotId
@@ -33,7 +33,7 @@ class KeyRing:
         #: Records with keys for this reader.
         self.records = 0
 
-    def opened(self, row: Row) -> Row:
+    def opened(self, row: LogRow) -> LogRow:
         """Return the row as it would be had nothing been sealed, as far as this key goes.
 
         Raises:
@@ -47,7 +47,7 @@ class KeyRing:
     def _of(self, keys: int, data: DataClass) -> bytes | None:
         return self._found.get((keys, data))
 
-    def _learn(self, row: Row) -> None:
+    def _learn(self, row: LogRow) -> None:
         where = f"record {row.seq}"
         record = read_record(row.record, where=where)
         if row.seq == 0:
@@ -59,7 +59,7 @@ class KeyRing:
 
 
 def _unwrapped(
-    row: Row, record: Record, robot: RobotId, key: ReaderKey
+    row: LogRow, record: Record, robot: RobotId, key: ReaderKey
 ) -> list[tuple[tuple[int, DataClass], bytes]]:
     found: list[tuple[tuple[int, DataClass], bytes]] = []
     for name, one in read_sealed(row.sealed, where=f"record {row.seq}").items():

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from authguard_r.anchoring.sealing.policy import SealingPolicy, require_readers
 from authguard_r.anchoring.sealing.stored_policy import (
     HELD,
-    Kept,
+    KeyRecords,
     add_due,
     has_retention,
     policy_of,
@@ -24,7 +24,7 @@ from authguard_r.anchoring.sealing.stored_policy import (
 from authguard_r.anchoring.sealing.wraps import Wrapped, WrappedFor
 from authguard_r.audit.record import NONE, WRAP, Entry, append, read_record
 from authguard_r.audit.sealed_envelopes import SEALING, Cover, append_covered, opened
-from authguard_r.audit.verify import Row
+from authguard_r.audit.verify import LogRow
 from authguard_r.core.encoding import b64, encode
 from authguard_r.core.identifiers import MissionId, RobotId
 from authguard_r.core.ports import Store, Turn
@@ -65,7 +65,7 @@ class Sealer:
         cover = self._cover(turn, entry, salts)
         return append_covered(turn, entry, cover, salts=salts)
 
-    def opened(self, row: Row) -> Row:
+    def opened(self, row: LogRow) -> LogRow:
         """Return a row as it would be had nothing been sealed, as far as this start's keys go.
 
         Raises:
@@ -94,9 +94,9 @@ class Sealer:
         seq = turn.head()[0]
         classes = {one: self._random(_KEY) for one in self._classes}
         cover = Cover(robot=self._robot, keys=seq, classes=classes)
-        before = None if not held else read_held(held, Kept, HELD)
+        before = None if not held else read_held(held, KeyRecords, HELD)
         self._tell(turn, replace(entry, mid=mid), cover, before, salts)
-        kept = encode(Kept(newest=seq))
+        kept = encode(KeyRecords(newest=seq))
         turn.put(HELD, mid, kept)
         if mid != NONE and (self._retires or has_retention(turn, mid)):
             add_due(turn, MissionId(mid))
@@ -111,7 +111,7 @@ class Sealer:
         turn: Turn,
         entry: Entry,
         cover: Cover,
-        before: Kept | None,
+        before: KeyRecords | None,
         salts: Callable[[int], bytes],
     ) -> None:
         """Record the keys, wrapped for everybody who may have them."""

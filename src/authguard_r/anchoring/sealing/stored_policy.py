@@ -16,7 +16,7 @@ from authguard_r.core.lifecycle import TERMINAL
 from authguard_r.core.mission import DataClass, Mission
 from authguard_r.core.ports import Store, Turn
 from authguard_r.core.reasons import Reason
-from authguard_r.store.transactions import Act, read_held
+from authguard_r.store.transactions import Transaction, read_held
 
 #: Where the store holds which record tells the newest keys of a mission.
 HELD = "sealing"
@@ -30,7 +30,7 @@ _EXPIRY = "sealing-expiry"
 _RETENTION = "sealing-retention"
 
 
-class Kept(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class KeyRecords(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Which records tell the keys of a mission.
 
     Args:
@@ -40,7 +40,7 @@ class Kept(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     newest: Count
 
 
-def due_missions(turn: Turn | Act) -> tuple[MissionId, ...]:
+def due_missions(turn: Turn | Transaction) -> tuple[MissionId, ...]:
     """Return the missions whose sealed fields have an end to come.
 
     Raises:
@@ -50,24 +50,24 @@ def due_missions(turn: Turn | Act) -> tuple[MissionId, ...]:
     return read_held(held, tuple[MissionId, ...], POLICY) if held else ()
 
 
-def hold_due(turn: Turn | Act, missions: tuple[MissionId, ...]) -> None:
+def hold_due(turn: Turn | Transaction, missions: tuple[MissionId, ...]) -> None:
     """Hold the missions whose sealed fields have an end to come."""
     turn.put(POLICY, _DUE, encode(missions))
 
 
-def add_due(turn: Turn | Act, mid: MissionId) -> None:
+def add_due(turn: Turn | Transaction, mid: MissionId) -> None:
     """Add a mission to those whose sealed fields have an end to come, once."""
     due = due_missions(turn)
     if mid not in due:
         hold_due(turn, (*due, mid))
 
 
-def has_retention(turn: Turn | Act, mid: str) -> bool:
+def has_retention(turn: Turn | Transaction, mid: str) -> bool:
     """Return whether the newest version of a mission has retention times of its own."""
     return bool(turn.get(_RETENTION, mid))
 
 
-def hold_retention(act: Act, mission: Mission) -> None:
+def hold_retention(act: Transaction, mission: Mission) -> None:
     """Hold a mission's own retention times in place of those of the version before."""
     if mission.retention:
         act.put(_RETENTION, mission.mid, encode(mission.retention))
@@ -76,7 +76,7 @@ def hold_retention(act: Act, mission: Mission) -> None:
         act.put(_RETENTION, mission.mid, b"")
 
 
-def retention_of(turn: Turn | Act, mid: str, policy: SealingPolicy) -> dict[DataClass, int]:
+def retention_of(turn: Turn | Transaction, mid: str, policy: SealingPolicy) -> dict[DataClass, int]:
     """Return how long after its expiry a mission's sealed fields are kept, in milliseconds.
 
     Args:
@@ -96,22 +96,22 @@ def retention_of(turn: Turn | Act, mid: str, policy: SealingPolicy) -> dict[Data
     return most_ms | {data: min(ms, most_ms.get(data, ms)) for data, ms in times.items()}
 
 
-def newest_keys(turn: Turn | Act, mid: str) -> int | None:
+def newest_keys(turn: Turn | Transaction, mid: str) -> int | None:
     """Return the number of the record with a mission's newest keys; None: nothing was sealed.
 
     Raises:
         StoreError: what is held is none.
     """
     held = turn.get(HELD, mid)
-    return read_held(held, Kept, HELD).newest if held else None
+    return read_held(held, KeyRecords, HELD).newest if held else None
 
 
-def hold_expiry(act: Act, mid: MissionId, expiry_ms: int) -> None:
+def hold_expiry(act: Transaction, mid: MissionId, expiry_ms: int) -> None:
     """Hold when the newest version of a mission expires: its token does not stay."""
     act.put(_EXPIRY, mid, str(expiry_ms).encode("ascii"))
 
 
-def drop_last(act: Act, mid: MissionId, digest: Digest) -> None:
+def drop_last(act: Transaction, mid: MissionId, digest: Digest) -> None:
     """Keep the token of the mission that was active before no longer, once it is over.
 
     Only where the log is sealed: elsewhere it says all of it anyway.
@@ -129,7 +129,7 @@ def drop_last(act: Act, mid: MissionId, digest: Digest) -> None:
     act.put(POLICY, _LAST, f"{mid} {digest}".encode("ascii"))
 
 
-def expiry_ms(act: Act, mid: MissionId) -> int | None:
+def expiry_ms(act: Transaction, mid: MissionId) -> int | None:
     """Return when the newest version of a mission expires; None: it is one of before.
 
     Raises:

@@ -96,7 +96,7 @@ class Inputs(Struct, frozen=True, kw_only=True):
     safety: dict[str, Any] | None = None
 
 
-class _Kept(Struct, frozen=True, kw_only=True):
+class _ActivatedMission(Struct, frozen=True, kw_only=True):
     """A mission that was made active, with what it is verified from again."""
 
     values: dict[str, Any]
@@ -106,7 +106,7 @@ class _Kept(Struct, frozen=True, kw_only=True):
     lists: int
 
 
-class _Beside(Struct, frozen=True, kw_only=True):
+class _Attachments(Struct, frozen=True, kw_only=True):
     """The types of what a decision seals; anything else is no decision of ours."""
 
     action: Action
@@ -139,7 +139,7 @@ class Sources:
         #: The least fence that a decision may name, and whether the log's decisions name any.
         self._fence, self._ended, self._has_fences = 0, 0, False
         self._no_site = "neither site nor mission is in this part of a log"
-        self._missions: OrderedDict[str, _Kept] = OrderedDict()
+        self._missions: OrderedDict[str, _ActivatedMission] = OrderedDict()
         self._gone: OrderedDict[str, str] = OrderedDict()
         self._standings, self._preapprovals = Standings(), PreApprovals()
         self.second = SecondGate()
@@ -192,7 +192,7 @@ class Sources:
         if kept is None:  # the log is there from its beginning on, and a gate always writes it
             return Forged("no record before it made its mission active")
         try:
-            beside = msgspec.convert({name: values[name] for name in NEEDED}, _Beside)
+            beside = msgspec.convert({name: values[name] for name in NEEDED}, _Attachments)
             _require_linked(record, beside)
             self._require_fence(beside)
             wrong = "".join(map(self._standings.wrong, beside.standing))
@@ -215,7 +215,7 @@ class Sources:
         except AuthGuardError as error:
             return Forged(f"{error.reason}: {error.message}")
 
-    def _require_fence(self, beside: _Beside) -> None:
+    def _require_fence(self, beside: _Attachments) -> None:
         """Require that a decision asked for state from after the last motion.
 
         Logs of before there were fences name none; once one is named, each decision names one.
@@ -314,7 +314,7 @@ class Sources:
         mission = claimed_mission(values) if verified is None else verified.mission
         if digest_of(Tag.MISSION, mission) != digest:
             raise MalformedError("expected the mission that the record names", where="token")
-        kept = _Kept(
+        kept = _ActivatedMission(
             values=values,
             mission=mission,
             plain=plain(mission),
@@ -344,7 +344,7 @@ class Sources:
         template = open_template(signed, verifier=self._trust, now=now, roles=ISSUER_ROLES)
         return instantiate(token, template, verifier=self._trust, now=now).mission
 
-    def _issuer(self, digest: str, kept: _Kept, now: Now) -> Principal | None:
+    def _issuer(self, digest: str, kept: _ActivatedMission, now: Now) -> Principal | None:
         """Return who issued a mission, and until when that holds; again once lists have changed."""
         if kept.lists != self._lists:
             verified = self._verified(kept.values, now)
@@ -353,7 +353,7 @@ class Sources:
             self._missions[digest] = kept
         return kept.issuer
 
-    def _answers(self, beside: _Beside, *, is_preapproval: bool) -> list[dict[str, Any]]:
+    def _answers(self, beside: _Attachments, *, is_preapproval: bool) -> list[dict[str, Any]]:
         """Return the answers that were looked at, or the pre-approvals."""
         trust: Any = self._trust
         opened = partial(open_preapproval if is_preapproval else open_approval, verifier=trust)
@@ -400,7 +400,7 @@ def _at(record: Record) -> Now:
     return Now(record.link.time_ms, 0)
 
 
-def _require_linked(record: Record, beside: _Beside) -> None:
+def _require_linked(record: Record, beside: _Attachments) -> None:
     """Hold what was sealed to what the record links: both speak of one action and one state.
 
     Raises:

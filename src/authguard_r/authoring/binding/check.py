@@ -24,10 +24,10 @@ from authguard_r.core.reasons import Reason
 from authguard_r.normalize.bind import Binder
 from authguard_r.normalize.binding import (
     Argument,
+    ArgumentUse,
     Binding,
     ToolBinding,
-    Use,
-    Way,
+    ToolWay,
     binding_faults,
     origins,
     ways,
@@ -35,7 +35,7 @@ from authguard_r.normalize.binding import (
 from authguard_r.normalize.dialects import Call
 from authguard_r.normalize.interface import Surface, interface_faults, uncompared
 from authguard_r.normalize.rebuild import Rebuilder
-from authguard_r.site.check import Fault
+from authguard_r.site.check import SiteFault
 from authguard_r.site.model import Site
 
 #: Values of every kind that a dialect can read, none of them likely to be meant.
@@ -78,7 +78,7 @@ class BindingReport(Struct, frozen=True, kw_only=True):
     groups: dict[str, tuple[str, ...]]
     unproven: tuple[str, ...]
     assumed: tuple[str, ...]
-    faults: tuple[Fault, ...]
+    faults: tuple[SiteFault, ...]
 
 
 def check_binding(
@@ -91,17 +91,17 @@ def check_binding(
         site: the site whose words it speaks.
         interface: what the planner's tools say of themselves; empty: they are not compared.
     """
-    found = [Fault(where, message) for where, message in binding_faults(binding, site)]
+    found = [SiteFault(where, message) for where, message in binding_faults(binding, site)]
     unmapped: list[str] = []
     for where, message, missing in interface_faults(binding, interface):
-        found.append(Fault(where, message))
+        found.append(SiteFault(where, message))
         if missing:
             unmapped.append(f"{where}: {message}")
     unproven: tuple[str, ...] = ()
     if not found:
         mutations = _Mutations(binding, site)
         unproven = mutations.unproven()
-        found += (Fault(place, _UNPROVEN) for place in unproven)
+        found += (SiteFault(place, _UNPROVEN) for place in unproven)
         found += mutations.faults()
     return BindingReport(
         binding=binding.id,
@@ -148,19 +148,21 @@ class _Mutations:
         """Return the ways of which there is no sample, so of which nothing is shown."""
         return tuple(way.place for way, call in self._samples if call is None)
 
-    def faults(self) -> Iterator[Fault]:
+    def faults(self) -> Iterator[SiteFault]:
         """Yield each change of a sample that is neither refused nor dispatched as it is judged."""
         for way, call in ((way, call) for way, call in self._samples if call is not None):
             try:
                 yield from self._way_faults(way, call)
             except MalformedError as error:
-                yield Fault(way.place, f"expected calls that bind and are rebuilt: {error.message}")
+                yield SiteFault(
+                    way.place, f"expected calls that bind and are rebuilt: {error.message}"
+                )
 
-    def _way_faults(self, way: Way, call: Call) -> Iterator[Fault]:
+    def _way_faults(self, way: ToolWay, call: Call) -> Iterator[SiteFault]:
         if self._kinds[way.tool.type].state_writing:
             told = self._refused(call)
             message = f"expected {Reason.STATE_WRITING_REFUSED}, got {told}"
-            yield from [Fault(way.place, message)] * (told is not Reason.STATE_WRITING_REFUSED)
+            yield from [SiteFault(way.place, message)] * (told is not Reason.STATE_WRITING_REFUSED)
             return
         yield from self._rebuilt_faults(self._binder.bind(call), way, way.place)
         for path, changed in self._changes(way, call):
@@ -175,18 +177,18 @@ class _Mutations:
             return error.reason
         return None
 
-    def _rebuilt_faults(self, action: Action, way: Way, place: str) -> Iterator[Fault]:
+    def _rebuilt_faults(self, action: Action, way: ToolWay, place: str) -> Iterator[SiteFault]:
         """The dispatched call means the authorized action again, by this tool and by any."""
         for tool in (None, way.name):
             call = self._rebuilder.rebuild(action, tool=tool)
             differs = _scope(self._binder.bind(call)) != _scope(action)
-            yield from [Fault(place, "expected a dispatched call of the same action")] * differs
+            yield from [SiteFault(place, "expected a dispatched call of the same action")] * differs
 
-    def _changes(self, way: Way, call: Call) -> Iterator[tuple[str, Call]]:
+    def _changes(self, way: ToolWay, call: Call) -> Iterator[tuple[str, Call]]:
         """Yield the sample with one path changed at a time, left out or added to."""
         for path, argument in (*way.tool.arguments.items(), *((p, None) for p in way.tool.when)):
             values = [*_STRANGE]
-            if argument is not None and argument.use is Use.MAPPED:
+            if argument is not None and argument.use is ArgumentUse.MAPPED:
                 values += self._sampler.values(way.tool, argument)
             for value in values:
                 yield path, _with(call, path, value)
@@ -233,9 +235,9 @@ def _scope(action: Action) -> Digest:
 
 
 def _counts(binding: Binding) -> dict[str, int]:
-    counts = {str(use): 0 for use in Use}
+    counts = {str(use): 0 for use in ArgumentUse}
     for way in ways(binding):
-        counts[Use.FIXED] += len(way.tool.when)
+        counts[ArgumentUse.FIXED] += len(way.tool.when)
         for argument in _leaves(way.tool.arguments):
             counts[argument.use] += 1
     return counts
@@ -248,7 +250,7 @@ def _leaves(arguments: dict[str, Argument]) -> Iterator[Argument]:
 
 def _groups(binding: Binding, site: Site) -> dict[str, tuple[str, ...]]:
     """Return the ways that can become one action: an effect has one name, whatever asks for it."""
-    groups: list[list[Way]] = []
+    groups: list[list[ToolWay]] = []
     for way in ways(binding):
         kind = site.vocabulary.get(way.tool.type)
         if kind is not None and not kind.state_writing:

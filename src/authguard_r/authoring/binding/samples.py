@@ -23,10 +23,10 @@ from authguard_r.normalize.binding import (
     POSE,
     REGION,
     Argument,
+    ArgumentUse,
     Binding,
     ToolBinding,
-    Use,
-    Way,
+    ToolWay,
 )
 from authguard_r.normalize.dialects import Call
 from authguard_r.normalize.places import Places
@@ -82,16 +82,16 @@ class Sampler:
         places = Places(site)
         self._spots = [m for r, m in site.regions.items() if _alone(places, r, m)]
 
-    def call(self, way: Way) -> Call | None:
+    def call(self, way: ToolWay) -> Call | None:
         """Return a valid call of a way; None when the site has nothing that it could name.
 
         Every mapped and fixed argument is given; what is noted or refused is left out.
         """
         flat: dict[str, Any] = dict(way.tool.when)
         for path, argument in way.tool.arguments.items():
-            if argument.use is Use.FIXED:
+            if argument.use is ArgumentUse.FIXED:
                 flat[path] = argument.constant()
-            elif argument.use is Use.MAPPED:
+            elif argument.use is ArgumentUse.MAPPED:
                 found = self.values(way.tool, argument)
                 if not found:
                     return None
@@ -125,10 +125,10 @@ class Sampler:
     @staticmethod
     def _item(each: dict[str, Argument], place: Any) -> Any:
         flat: dict[str, Any] = {
-            path: one.constant() for path, one in each.items() if one.use is Use.FIXED
+            path: one.constant() for path, one in each.items() if one.use is ArgumentUse.FIXED
         }
         for path, one in each.items():
-            if one.use is Use.MAPPED:
+            if one.use is ArgumentUse.MAPPED:
                 flat[path] = place if one.to == REGION else _coordinate(one, place)
         return nested(flat)
 

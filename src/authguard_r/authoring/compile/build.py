@@ -13,9 +13,9 @@ from collections.abc import Iterable
 from typing import Any
 
 from authguard_r.authoring.compile.draft import Draft
-from authguard_r.authoring.compile.grants import Words, build_grant, build_guards, build_limits
+from authguard_r.authoring.compile.grants import GrantWords, build_grant, build_guards, build_limits
 from authguard_r.authoring.compile.names import OBJECT, REGION, names_of, unknown
-from authguard_r.authoring.compile.questions import Questions
+from authguard_r.authoring.compile.questions import CompileQuestions
 from authguard_r.authoring.compile.sources import build_retention, build_sources
 from authguard_r.authoring.compile.totals import build_budgets, build_risk
 from authguard_r.core.errors import MalformedError
@@ -48,7 +48,7 @@ def compile_draft(draft: Draft, site: Site, *, now: Now, nonce: str) -> Mission:
     """
     if draft.task is not None and not _is_text(draft.task):
         raise MalformedError("expected text that UTF-8 can spell", where="task")
-    asked = Questions()
+    asked = CompileQuestions()
     plain = _plain(draft, site, now, asked)
     asked.require_none()
     rid = RobotId(plain["rid"])
@@ -58,10 +58,10 @@ def compile_draft(draft: Draft, site: Site, *, now: Now, nonce: str) -> Mission:
     return mission
 
 
-def _plain(draft: Draft, site: Site, now: Now, asked: Questions) -> dict[str, Any]:
+def _plain(draft: Draft, site: Site, now: Now, asked: CompileQuestions) -> dict[str, Any]:
     """Return the mission's fields; what is open is None and asked about."""
     rid = _robot(draft, site, asked)
-    words = Words(site=site, names=names_of(site), rid=rid, ceilings=draft.limits, asked=asked)
+    words = GrantWords(site=site, names=names_of(site), rid=rid, ceilings=draft.limits, asked=asked)
     task = _said(draft.task, "What is asked for, in the operator's own words?", "task", asked)
     issuer = _said(draft.issuer, "Who signs this mission?", "issuer", asked)
     first, last = _window(draft, now, asked)
@@ -111,7 +111,11 @@ def _is_text(text: str) -> bool:
 
 
 def _said(
-    value: str | None, question: str, field: str, asked: Questions, candidates: Iterable[str] = ()
+    value: str | None,
+    question: str,
+    field: str,
+    asked: CompileQuestions,
+    candidates: Iterable[str] = (),
 ) -> str | None:
     """Return the value, or None once it has been asked about."""
     if value is None:
@@ -119,7 +123,7 @@ def _said(
     return value
 
 
-def _robot(draft: Draft, site: Site, asked: Questions) -> RobotId | None:
+def _robot(draft: Draft, site: Site, asked: CompileQuestions) -> RobotId | None:
     if draft.robot is None:
         asked.ask("Which robot is meant?", "robot", sorted(site.robots))
         return None
@@ -128,7 +132,7 @@ def _robot(draft: Draft, site: Site, asked: Questions) -> RobotId | None:
     return RobotId(draft.robot)
 
 
-def _window(draft: Draft, now: Now, asked: Questions) -> tuple[str | None, str | None]:
+def _window(draft: Draft, now: Now, asked: CompileQuestions) -> tuple[str | None, str | None]:
     window = draft.window
     if not window:
         shape = "`{for: ...}`, or `{not_before: ..., expiry: ...}`"
@@ -144,7 +148,7 @@ def _window(draft: Draft, now: Now, asked: Questions) -> tuple[str | None, str |
     )
 
 
-def _from_now(value: str | float, now: Now, asked: Questions) -> tuple[str, str | None]:
+def _from_now(value: str | float, now: Now, asked: CompileQuestions) -> tuple[str, str | None]:
     """Return the window that starts now; here a bare integer has no unit either."""
     length = asked.integer(str(value), _MS, field="window.for")
     end = None if length is None else _to_timestamp(now.utc_ms + length, "window.for")
@@ -158,7 +162,7 @@ def _to_timestamp(utc_ms: int, where: str) -> str:
         raise MalformedError("expected an instant before the year 10000", where=where) from error
 
 
-def _instant(value: object, field: str, now: Now, asked: Questions) -> str | None:
+def _instant(value: object, field: str, now: Now, asked: CompileQuestions) -> str | None:
     """Return an instant with date and zone; of a time without them, the next two are offered."""
     if value is None:
         asked.ask("Which instant is meant: 2026-01-31T14:30:00Z?", field)
@@ -185,7 +189,7 @@ def _next(text: str, now: Now) -> tuple[str, ...]:
     return tuple(later[:2])
 
 
-def _grants(draft: Draft, words: Words) -> list[dict[str, Any]]:
+def _grants(draft: Draft, words: GrantWords) -> list[dict[str, Any]]:
     if not draft.grants:
         words.asked.ask("What may the robot do?", "grants")
     if len(draft.grants) > MAX_GRANTS:
@@ -193,7 +197,7 @@ def _grants(draft: Draft, words: Words) -> list[dict[str, Any]]:
     return [build_grant(grant, f"grants[{n}]", words) for n, grant in enumerate(draft.grants)]
 
 
-def _ceiling(given: tuple[str, ...] | None, kind: str, words: Words) -> list[str | None]:
+def _ceiling(given: tuple[str, ...] | None, kind: str, words: GrantWords) -> list[str | None]:
     """Return the ceiling that the author wrote, in ids."""
     field = f"{kind}s"
     found = {words.resolve(text, kind, f"{field}[{n}]") for n, text in enumerate(given or ())}

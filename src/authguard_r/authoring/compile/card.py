@@ -25,7 +25,7 @@ from authguard_r.site.model import Site
 RIGHTS = ("record", "store", "transmit")
 
 
-class Demand(Struct, frozen=True, kw_only=True):
+class OrganizationDemand(Struct, frozen=True, kw_only=True):
     """What an organization demands beside the mission's own policy, and under which name.
 
     Args:
@@ -39,7 +39,9 @@ class Demand(Struct, frozen=True, kw_only=True):
     policy: RiskPolicy
 
 
-def review(mission: Mission, site: Site, *, demand: Demand | None = None) -> tuple[str, ...]:
+def review(
+    mission: Mission, site: Site, *, demand: OrganizationDemand | None = None
+) -> tuple[str, ...]:
     """Return the card's lines; the same mission, site and demand give the same lines.
 
     Args:
@@ -80,7 +82,7 @@ def _head(mission: Mission, site: Site) -> Iterator[str]:
     yield f"  only in regions: {', '.join(mission.regions) or 'none'}"
 
 
-def _grants(mission: Mission, site: Site, demand: Demand | None) -> Iterator[str]:
+def _grants(mission: Mission, site: Site, demand: OrganizationDemand | None) -> Iterator[str]:
     yield "It grants:"
     facts = facts_for(mission, site)
     for grant in mission.actions:
@@ -128,7 +130,9 @@ def _marks(grant: Grant, site: Site) -> str:
     return f"  [{', '.join(marks)}]" if marks else ""
 
 
-def _asked(mission: Mission, grant: Grant, facts: SiteFacts | None, demand: Demand | None) -> str:
+def _asked(
+    mission: Mission, grant: Grant, facts: SiteFacts | None, demand: OrganizationDemand | None
+) -> str:
     """Say in words whom the riskiest action of the grant asks, by the stricter policy."""
     if facts is None:
         return "nobody can say whom it asks: this site has no such robot"
@@ -184,7 +188,7 @@ def _approvals(mission: Mission, site: Site) -> Iterator[str]:
     yield f"  risk is the sum of: {'; '.join(_weights(policy, site))}"
 
 
-def _demanded(mission: Mission, demand: Demand | None) -> Iterator[str]:
+def _demanded(mission: Mission, demand: OrganizationDemand | None) -> Iterator[str]:
     """Say what the organization's policy adds; without one, that it may ask for more."""
     if demand is None:
         yield "  an organization's risk policy may ask more people: review with --risk-policy"
@@ -259,4 +263,4 @@ def _bound(mission: Mission) -> Iterator[str]:
         yield f"  takes the place of {mission.supersedes}"
 
 
-__all__ = ["Demand", "card_digest", "compare", "review"]
+__all__ = ["OrganizationDemand", "card_digest", "compare", "review"]

@@ -14,11 +14,11 @@ from msgspec import Struct
 Quantity = str | int | float
 
 
-class _Draft(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class _DraftStruct(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The manner of every part of a draft: closed and immutable."""
 
 
-class DraftRow(_Draft, frozen=True, kw_only=True):
+class DraftRow(_DraftStruct, frozen=True, kw_only=True):
     """One alternative; `regions` is everything the robot may touch on the way."""
 
     object: str | None = None
@@ -27,7 +27,7 @@ class DraftRow(_Draft, frozen=True, kw_only=True):
     regions: tuple[str, ...] | None = None
 
 
-class DraftGuard(_Draft, frozen=True, kw_only=True):
+class DraftGuard(_DraftStruct, frozen=True, kw_only=True):
     """A condition: exactly one comparison, and how old the reading may be."""
 
     variable: str
@@ -40,7 +40,7 @@ class DraftGuard(_Draft, frozen=True, kw_only=True):
     ge: int | None = None
 
 
-class DraftGrant(_Draft, frozen=True, kw_only=True):
+class DraftGrant(_DraftStruct, frozen=True, kw_only=True):
     """One permission. What a mission must settle is asked for when it is not here."""
 
     id: str
@@ -61,21 +61,21 @@ class DraftGrant(_Draft, frozen=True, kw_only=True):
     done_when: tuple[DraftGuard, ...] = ()
 
 
-class DraftClosing(_Draft, frozen=True, kw_only=True, rename={"for_": "for"}):
+class DraftClosing(_DraftStruct, frozen=True, kw_only=True, rename={"for_": "for"}):
     """Which grants outlive completion, and for how long."""
 
     grants: tuple[str, ...] = ()
     for_: Quantity | None = None
 
 
-class DraftRate(_Draft, frozen=True, kw_only=True):
+class DraftRate(_DraftStruct, frozen=True, kw_only=True):
     """At most `count` releases in `per`."""
 
     count: int | None = None
     per: Quantity | None = None
 
 
-class DraftBudgets(_Draft, frozen=True, kw_only=True):
+class DraftBudgets(_DraftStruct, frozen=True, kw_only=True):
     """Totals of the whole mission; zero is zero."""
 
     actions: int | None = None
@@ -87,7 +87,7 @@ class DraftBudgets(_Draft, frozen=True, kw_only=True):
     planner_stops: int | None = None
 
 
-class DraftParameterRisk(_Draft, frozen=True, kw_only=True):
+class DraftParameterRisk(_DraftStruct, frozen=True, kw_only=True):
     """What a forceful parameter adds."""
 
     parameter: str
@@ -95,14 +95,14 @@ class DraftParameterRisk(_Draft, frozen=True, kw_only=True):
     weight: int
 
 
-class DraftStateRisk(_Draft, frozen=True, kw_only=True):
+class DraftStateRisk(_DraftStruct, frozen=True, kw_only=True):
     """What a state of the world adds."""
 
     guard: DraftGuard
     weight: int
 
 
-class DraftRisk(_Draft, frozen=True, kw_only=True):
+class DraftRisk(_DraftStruct, frozen=True, kw_only=True):
     """Who must approve what. Weights that are not listed are `otherwise`.
 
     `field_weights` weigh the deviation of an action (D_M) and authorize nothing.
@@ -123,7 +123,7 @@ class DraftRisk(_Draft, frozen=True, kw_only=True):
     field_weights: dict[str, Quantity] = {}
 
 
-class Draft(_Draft, frozen=True, kw_only=True):
+class Draft(_DraftStruct, frozen=True, kw_only=True):
     """A whole mission as its author sees it.
 
     `window` is `{not_before, expiry}` with RFC 3339 UTC seconds, or `{for}` from the moment of

@@ -61,7 +61,7 @@ class Measures(Struct, frozen=True, kw_only=True):
     forceful_percent: int = 60
 
 
-class Scene(Struct, frozen=True, kw_only=True):
+class LintScene(Struct, frozen=True, kw_only=True):
     """What every rule reads.
 
     Args:

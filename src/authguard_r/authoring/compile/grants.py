@@ -13,9 +13,9 @@ from typing import Any
 from msgspec import Struct
 
 from authguard_r.authoring.compile.draft import DraftGrant, DraftGuard, DraftRow, Quantity
-from authguard_r.authoring.compile.names import OBJECT, REGION, Names, unknown
+from authguard_r.authoring.compile.names import OBJECT, REGION, SiteNames, unknown
 from authguard_r.authoring.compile.path import quiet_path
-from authguard_r.authoring.compile.questions import Questions
+from authguard_r.authoring.compile.questions import CompileQuestions
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import ActionType, ParameterId, RegionId, RobotId
 from authguard_r.core.mission import MAX_ROWS, Comparison
@@ -29,7 +29,7 @@ _YES_NO = ("true", "false")
 _NAMED = (("object", OBJECT), ("source", REGION), ("destination", REGION))
 
 
-class Words(Struct, frozen=True, kw_only=True):
+class GrantWords(Struct, frozen=True, kw_only=True):
     """What a grant is read with.
 
     Args:
@@ -41,17 +41,17 @@ class Words(Struct, frozen=True, kw_only=True):
     """
 
     site: Site
-    names: Names
+    names: SiteNames
     rid: RobotId | None
     ceilings: dict[str, tuple[Quantity, Quantity]]
-    asked: Questions
+    asked: CompileQuestions
 
     def resolve(self, text: str, kind: str, where: str) -> str | None:
         """Return the id of a thing of the site, or None once it was asked about."""
         return self.names.resolve(text, kind, where=where, questions=self.asked)
 
 
-def build_grant(grant: DraftGrant, place: str, words: Words) -> dict[str, Any]:
+def build_grant(grant: DraftGrant, place: str, words: GrantWords) -> dict[str, Any]:
     """Return the grant's fields; what is open is None and asked about.
 
     Args:
@@ -102,7 +102,7 @@ def build_grant(grant: DraftGrant, place: str, words: Words) -> dict[str, Any]:
     }
 
 
-def _model(grant: DraftGrant, place: str, words: Words) -> ActionModel | None:
+def _model(grant: DraftGrant, place: str, words: GrantWords) -> ActionModel | None:
     """Return what the site says of the grant's type, None once the type was asked about."""
     vocabulary = words.site.vocabulary
     if grant.type is None:
@@ -117,7 +117,7 @@ def _model(grant: DraftGrant, place: str, words: Words) -> ActionModel | None:
     return model
 
 
-def _tool(grant: DraftGrant, place: str, words: Words) -> str | None:
+def _tool(grant: DraftGrant, place: str, words: GrantWords) -> str | None:
     """Return the tool; it is asked about once it is settled which robot has the tools."""
     if grant.tool is None and words.rid is not None:
         tools = words.site.robots[words.rid].profile.tools.get(ActionType(grant.type or ""), ())
@@ -126,7 +126,7 @@ def _tool(grant: DraftGrant, place: str, words: Words) -> str | None:
 
 
 def _row(
-    row: DraftRow, place: str, grant: DraftGrant, model: ActionModel | None, words: Words
+    row: DraftRow, place: str, grant: DraftGrant, model: ActionModel | None, words: GrantWords
 ) -> dict[str, Any]:
     """Ask for every field that actions of this type have."""
     plain: dict[str, Any] = {}
@@ -145,7 +145,7 @@ def _row(
 
 
 def _regions(
-    row: DraftRow, plain: dict[str, Any], place: str, grant: DraftGrant, words: Words
+    row: DraftRow, plain: dict[str, Any], place: str, grant: DraftGrant, words: GrantWords
 ) -> list[str]:
     """Return everything that the robot may touch on the way; asked about once both ends are."""
     if row.regions is not None:
@@ -163,7 +163,7 @@ def _regions(
     return []
 
 
-def _require_limits(grant: DraftGrant, place: str, model: ActionModel, words: Words) -> None:
+def _require_limits(grant: DraftGrant, place: str, model: ActionModel, words: GrantWords) -> None:
     """Ask for a bound on every parameter that the type requires; the mission's own is offered."""
     for name, parameter in model.params.items():
         if parameter.required and name not in grant.limits:
@@ -176,7 +176,7 @@ def _require_limits(grant: DraftGrant, place: str, model: ActionModel, words: Wo
 
 
 def _data(
-    grant: DraftGrant, place: str, model: ActionModel | None, asked: Questions
+    grant: DraftGrant, place: str, model: ActionModel | None, asked: CompileQuestions
 ) -> dict[str, bool]:
     """Ask about every right that a recording type touches; silence is not consent."""
     if model is not None:
@@ -192,14 +192,14 @@ def _data(
     return dict(grant.data)
 
 
-def _chooser(grant: DraftGrant, place: str, asked: Questions) -> str | None:
+def _chooser(grant: DraftGrant, place: str, asked: CompileQuestions) -> str | None:
     if grant.chooser is None:
         question = f"Who may choose among the rows of `{grant.id}`?"
         asked.ask(question, f"{place}.chooser", (*map(str, Chooser),))
     return grant.chooser
 
 
-def _irreversible(grant: DraftGrant, place: str, asked: Questions) -> bool | None:
+def _irreversible(grant: DraftGrant, place: str, asked: CompileQuestions) -> bool | None:
     if grant.irreversible is None:
         asked.ask(f"Is `{grant.id}` impossible to undo?", f"{place}.irreversible", _YES_NO)
     return grant.irreversible
@@ -207,7 +207,7 @@ def _irreversible(grant: DraftGrant, place: str, asked: Questions) -> bool | Non
 
 def build_limits(
     limits: dict[str, tuple[Quantity, Quantity]],
-    words: Words,
+    words: GrantWords,
     place: str,
     kind: ActionType | None = None,
 ) -> list[dict[str, Any]]:
@@ -243,7 +243,7 @@ def _alike(low: Quantity, high: Quantity) -> tuple[Quantity, Quantity]:
     return low, high
 
 
-def unit_of_limit(name: str, words: Words, where: str, kind: ActionType | None = None) -> str:
+def unit_of_limit(name: str, words: GrantWords, where: str, kind: ActionType | None = None) -> str:
     """Return the unit of a parameter: its type's own, else the one that all types agree on.
 
     Raises:
@@ -260,12 +260,14 @@ def unit_of_limit(name: str, words: Words, where: str, kind: ActionType | None =
     return units[0]
 
 
-def build_guards(guards: Iterable[DraftGuard], place: str, words: Words) -> list[dict[str, Any]]:
+def build_guards(
+    guards: Iterable[DraftGuard], place: str, words: GrantWords
+) -> list[dict[str, Any]]:
     """Return conditions on attested state."""
     return [build_guard(guard, f"{place}[{n}]", words) for n, guard in enumerate(guards)]
 
 
-def build_guard(guard: DraftGuard, place: str, words: Words) -> dict[str, Any]:
+def build_guard(guard: DraftGuard, place: str, words: GrantWords) -> dict[str, Any]:
     """Return one condition.
 
     Raises:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from authguard_r.authoring.compile.findings import LintFinding, Measures, Scene, Severity, error
+from authguard_r.authoring.compile.findings import LintFinding, LintScene, Measures, Severity, error
 from authguard_r.authoring.compile.lint_bounds import BOUND_RULES
 from authguard_r.authoring.compile.lint_choice import CHOICE_RULES
 from authguard_r.authoring.compile.lint_matches import MATCH_RULES, contradictions
@@ -43,7 +43,7 @@ def lint(mission: Mission, site: Site, measures: Measures = DEFAULT) -> tuple[Li
             ),
         )
     task = words_of(mission.task)
-    scene = Scene(mission=mission, site=site, facts=facts, measures=measures, task=task)
+    scene = LintScene(mission=mission, site=site, facts=facts, measures=measures, task=task)
     rules = (*SCOPE_RULES, *CHOICE_RULES, *BOUND_RULES, *MATCH_RULES)
     return _errors_first(finding for rule in rules for finding in rule(scene))
 

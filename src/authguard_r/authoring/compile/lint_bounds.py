@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from authguard_r.authoring.compile.findings import LintFinding, Scene, error, warning
+from authguard_r.authoring.compile.findings import LintFinding, LintScene, error, warning
 from authguard_r.authoring.compile.lint_scope import Rule
 from authguard_r.authoring.compile.worst import reach
 from authguard_r.core.checks.grant import MAX_BYTES
@@ -19,7 +19,7 @@ from authguard_r.site.model import ActionModel
 _LIFTING = frozenset({"drop", "pick", "place", "pour", "put_in", "throw"})
 
 
-def unbounded_parameters(scene: Scene) -> Iterator[LintFinding]:
+def unbounded_parameters(scene: LintScene) -> Iterator[LintFinding]:
     """A parameter that actions of the type must carry needs bounds to be held to."""
     for number, grant, model in _known(scene):
         bounded = {item.parameter for item in grant.limits}
@@ -33,7 +33,7 @@ def unbounded_parameters(scene: Scene) -> Iterator[LintFinding]:
                 )
 
 
-def wide_bounds(scene: Scene) -> Iterator[LintFinding]:
+def wide_bounds(scene: LintScene) -> Iterator[LintFinding]:
     """Bounds that leave out nothing were not thought about."""
     for number, grant, model in _known(scene):
         for index, item in enumerate(grant.limits):
@@ -49,7 +49,7 @@ def wide_bounds(scene: Scene) -> Iterator[LintFinding]:
                 )
 
 
-def open_retention(scene: Scene) -> Iterator[LintFinding]:
+def open_retention(scene: LintScene) -> Iterator[LintFinding]:
     """A recording is settled when its size is bounded, counted, and kept for a bounded time."""
     mission, measures = scene.mission, scene.measures
     length = to_ms(mission.expiry, where="expiry") - to_ms(mission.not_before, where="not_before")
@@ -76,7 +76,7 @@ def _retention(where: str, grant: Grant, message: str, mend: str) -> LintFinding
     return error(LintCode.RETENTION_OPEN, where, f"`{grant.id}` {message}", mend)
 
 
-def long_window(scene: Scene) -> Iterator[LintFinding]:
+def long_window(scene: LintScene) -> Iterator[LintFinding]:
     """A mission that lasts much longer than its work is authority lying about."""
     mission, measures = scene.mission, scene.measures
     length = to_ms(mission.expiry, where="expiry") - to_ms(mission.not_before, where="not_before")
@@ -92,7 +92,7 @@ def long_window(scene: Scene) -> Iterator[LintFinding]:
         )
 
 
-def unbounded_streams(scene: Scene) -> Iterator[LintFinding]:
+def unbounded_streams(scene: LintScene) -> Iterator[LintFinding]:
     """A velocity leads anywhere: regions and a short lease are all that holds it."""
     longest = scene.measures.stream_ms
     for number, grant, model in _known(scene):
@@ -124,7 +124,7 @@ def _is_stream(model: ActionModel) -> bool:
     )
 
 
-def beyond_profile(scene: Scene) -> Iterator[LintFinding]:
+def beyond_profile(scene: LintScene) -> Iterator[LintFinding]:
     """What the robot cannot do is not granted: nobody knows what trying it does."""
     profile = scene.site.robots[scene.mission.rid].profile
     most = {"mm/s": profile.max_speed_mm_s, "mN": profile.max_force_mn}
@@ -152,7 +152,7 @@ def beyond_profile(scene: Scene) -> Iterator[LintFinding]:
                 )
 
 
-def _known(scene: Scene) -> Iterator[tuple[int, Grant, ActionModel]]:
+def _known(scene: LintScene) -> Iterator[tuple[int, Grant, ActionModel]]:
     """Return the grants of types that the site knows, with their places."""
     for number, grant in enumerate(scene.mission.actions):
         model = scene.site.vocabulary.get(grant.type)

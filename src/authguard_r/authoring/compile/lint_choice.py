@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from authguard_r.authoring.compile.conditions import can_hold
-from authguard_r.authoring.compile.findings import LintFinding, Scene, error, warning
+from authguard_r.authoring.compile.findings import LintFinding, LintScene, error, warning
 from authguard_r.authoring.compile.lint_matches import comes_before
 from authguard_r.authoring.compile.lint_scope import Rule, abandons
 from authguard_r.authoring.compile.worst import worst_risk
@@ -27,7 +27,7 @@ _MEND = (
 _SIGNED = frozenset({Chooser.OPERATOR, Chooser.SUPERVISOR})
 
 
-def planner_chooses_risk(scene: Scene) -> Iterator[LintFinding]:
+def planner_chooses_risk(scene: LintScene) -> Iterator[LintFinding]:
     """`chooser: planner` accepts every row, also one that an attacker picks."""
     for number, grant in enumerate(scene.mission.actions):
         if (
@@ -42,7 +42,7 @@ def planner_chooses_risk(scene: Scene) -> Iterator[LintFinding]:
             )
 
 
-def never_set(scene: Scene) -> Iterator[LintFinding]:
+def never_set(scene: LintScene) -> Iterator[LintFinding]:
     """A planner proposes type and tool: where it may set neither, every proposal is refused."""
     mission, site = allowed_of(scene.mission.sources), allowed_of(scene.site.sources)
     for field in (SourceField.TYPE, SourceField.TOOL):
@@ -57,7 +57,7 @@ def never_set(scene: Scene) -> Iterator[LintFinding]:
             )
 
 
-def planner_chooses_grant(scene: Scene) -> Iterator[LintFinding]:
+def planner_chooses_grant(scene: LintScene) -> Iterator[LintFinding]:
     """Rows split into grants of their own are as open to the planner as rows that it may choose.
 
     Leaving the work is no choice among its rows: what must hold it back is UNGUARDED_RETURN's.
@@ -78,7 +78,7 @@ def planner_chooses_grant(scene: Scene) -> Iterator[LintFinding]:
         found.append(grant)
 
 
-def _competes(one: Grant, other: Grant, scene: Scene) -> bool:
+def _competes(one: Grant, other: Grant, scene: LintScene) -> bool:
     """True when the planner can ask for either, from one place, and they differ in risk."""
     if (one.type, one.tool) != (other.type, other.tool) or not (_is_free(one) and _is_free(other)):
         return False
@@ -119,7 +119,7 @@ def _is_over(one: Grant, other: Grant, mission: Mission) -> bool:
     return (one.id in before and one.repeat == 1) or not before.isdisjoint(one.until)
 
 
-def _risk(row: Row, grant: Grant, scene: Scene) -> tuple[int, frozenset[str], str]:
+def _risk(row: Row, grant: Grant, scene: LintScene) -> tuple[int, frozenset[str], str]:
     """Return what makes rows differ in risk: the score, the regions' tags, the object's class."""
     regions = scene.facts.regions
     tags = frozenset(tag for r in row.regions if r in regions for tag in regions[r].tags)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from authguard_r.authoring.compile.conditions import can_hold
-from authguard_r.authoring.compile.findings import LintFinding, Scene, error, warning
+from authguard_r.authoring.compile.findings import LintFinding, LintScene, error, warning
 from authguard_r.authoring.compile.lint_scope import Rule
 from authguard_r.authoring.compile.path import reachable
 from authguard_r.core.checks.grant import MAX_BYTES, spend_of
@@ -21,7 +21,7 @@ from authguard_r.enforcement.confirmation import LintCode
 Fault = tuple[str, str]
 
 
-def never_matches(scene: Scene) -> Iterator[LintFinding]:
+def never_matches(scene: LintScene) -> Iterator[LintFinding]:
     """Find grants, and rows of grants, that no action can match."""
     home = scene.site.robots[scene.mission.rid].home
     near = reachable(scene.site, home)
@@ -52,7 +52,7 @@ def _told(where: str, message: str, grant: Grant) -> tuple[str, str, str]:
     return where, f"`{grant.id}` can never match: {message}", "mend it, or leave it out"
 
 
-def _capability(scene: Scene, grant: Grant) -> Iterator[Fault]:
+def _capability(scene: LintScene, grant: Grant) -> Iterator[Fault]:
     tools = scene.facts.robot.tools.get(grant.type)
     kind = scene.facts.vocabulary.get(grant.type)
     if tools is None or kind is None:
@@ -63,7 +63,7 @@ def _capability(scene: Scene, grant: Grant) -> Iterator[Fault]:
         yield "tool", f"the profile does not do `{grant.type}` with `{grant.tool}`"
 
 
-def _limits(scene: Scene, grant: Grant) -> Iterator[Fault]:
+def _limits(scene: LintScene, grant: Grant) -> Iterator[Fault]:
     kind = scene.facts.vocabulary.get(grant.type)
     ceilings = {item.parameter: item for item in scene.mission.limits}
     for index, item in enumerate(grant.limits):
@@ -81,7 +81,7 @@ def _apart(one: Limit, other: Limit) -> bool:
     return one.high < other.low or one.low > other.high
 
 
-def _rights(scene: Scene, grant: Grant) -> Iterator[Fault]:
+def _rights(scene: LintScene, grant: Grant) -> Iterator[Fault]:
     kind = scene.facts.vocabulary.get(grant.type)
     if kind is not None:
         for right, needed in (
@@ -115,7 +115,7 @@ def comes_before(mission: Mission, start: GrantId) -> frozenset[GrantId]:
     return frozenset(found)
 
 
-def _budgets(scene: Scene, grant: Grant) -> Iterator[Fault]:
+def _budgets(scene: LintScene, grant: Grant) -> Iterator[Fault]:
     budgets = scene.mission.budgets
     least = {item.parameter: item.low for item in grant.limits if item.parameter == MAX_BYTES}
     spend = spend_of(scene.facts.vocabulary.get(grant.type), grant, least)
@@ -136,7 +136,7 @@ def _guards(mission: Mission, grant: Grant) -> Iterator[Fault]:
             yield "guards", f"no `{variable}` makes all its guards true"
 
 
-def _row(scene: Scene, grant: Grant, row: Row) -> Iterator[Fault]:
+def _row(scene: LintScene, grant: Grant, row: Row) -> Iterator[Fault]:
     mission, kind = scene.mission, scene.facts.vocabulary.get(grant.type)
     held = (
         ("object", row.object, mission.objects),

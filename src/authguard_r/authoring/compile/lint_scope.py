@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 
 from authguard_r.authoring.compile import wording
 from authguard_r.authoring.compile.conditions import real_guards
-from authguard_r.authoring.compile.findings import LintFinding, Scene, error, warning
+from authguard_r.authoring.compile.findings import LintFinding, LintScene, error, warning
 from authguard_r.authoring.compile.path import SENSITIVE_TAGS
 from authguard_r.authoring.compile.worst import reach, worst_risk
 from authguard_r.core.facts import ActionKind
@@ -16,12 +16,12 @@ from authguard_r.core.mission import Grant, Guard, Mission
 from authguard_r.enforcement.confirmation import LintCode
 from authguard_r.site.model import ActionModel
 
-Rule = Callable[[Scene], Iterator[LintFinding]]
+Rule = Callable[[LintScene], Iterator[LintFinding]]
 #: Types that hold a robot back from its work, whatever else they do.
 _IDLE = frozenset({"dock", "hold", "wait"})
 
 
-def unguarded_returns(scene: Scene) -> Iterator[LintFinding]:
+def unguarded_returns(scene: LintScene) -> Iterator[LintFinding]:
     """Returning, stopping and waiting end the work: who may cause them, and when?
 
     Order (`after`) is held by the registry, so it is some condition; attested state is a better.
@@ -64,7 +64,7 @@ def _lack(guards: tuple[Guard, ...]) -> str:
     return "no guard on trusted state"
 
 
-def abandons(grant: Grant, scene: Scene) -> bool:
+def abandons(grant: Grant, scene: LintScene) -> bool:
     """True for waiting, docking, holding, and for going home or to an emergency place."""
     kind = scene.facts.vocabulary.get(grant.type)
     if grant.type in _IDLE or (kind is not None and kind.waits):
@@ -76,7 +76,7 @@ def abandons(grant: Grant, scene: Scene) -> bool:
     return moves and any(row.destination in refuges for row in grant.alternatives)
 
 
-def wider_than_task(scene: Scene) -> Iterator[LintFinding]:
+def wider_than_task(scene: LintScene) -> Iterator[LintFinding]:
     """Whatever the task's words do not speak of, a signer should want on purpose."""
     for number, grant in enumerate(scene.mission.actions):
         place = f"actions[{number}]"
@@ -99,7 +99,7 @@ def wider_than_task(scene: Scene) -> Iterator[LintFinding]:
                 yield _unspoken(f"{place}.data.{right}", f"a right to {right} sensor data", grant)
 
 
-def _speaks_of_type(grant: Grant, model: ActionModel, scene: Scene) -> bool:
+def _speaks_of_type(grant: Grant, model: ActionModel, scene: LintScene) -> bool:
     """True when words ask for the type, or it is one that no words need to ask for.
 
     Going somewhere is asked for by naming the place; what has no field and leaves no trace (a
@@ -112,7 +112,7 @@ def _speaks_of_type(grant: Grant, model: ActionModel, scene: Scene) -> bool:
 
 
 def _unspoken_rows(
-    place: str, grant: Grant, model: ActionModel, scene: Scene
+    place: str, grant: Grant, model: ActionModel, scene: LintScene
 ) -> Iterator[LintFinding]:
     for index, row in enumerate(grant.alternatives):
         where = f"{place}.alternatives[{index}]"
@@ -126,7 +126,7 @@ def _unspoken_rows(
             yield _unspoken(f"{where}.{field}", f"`{region}`", grant)
 
 
-def _speaks_of_region(region: RegionId, grant: Grant, scene: Scene) -> bool:
+def _speaks_of_region(region: RegionId, grant: Grant, scene: LintScene) -> bool:
     """True when the region is named, holds what is named, or is the home that closing leads to."""
     closing, site, task = scene.mission.closing, scene.site, scene.task
     home = site.robots[scene.mission.rid].home
@@ -147,7 +147,7 @@ def _unspoken(where: str, what: str, grant: Grant) -> LintFinding:
     )
 
 
-def through_sensitive(scene: Scene) -> Iterator[LintFinding]:
+def through_sensitive(scene: LintScene) -> Iterator[LintFinding]:
     """A way through a private, restricted or hazardous region is granted on purpose.
 
     A word in the task grants nothing: a region that the task asks for is still shown, and one that
@@ -172,12 +172,12 @@ def through_sensitive(scene: Scene) -> Iterator[LintFinding]:
                 )
 
 
-def _sensitive_tags(region: RegionId, scene: Scene) -> list[str]:
+def _sensitive_tags(region: RegionId, scene: LintScene) -> list[str]:
     known = scene.facts.regions.get(region)
     return sorted(SENSITIVE_TAGS & known.tags) if known is not None else []
 
 
-def never_asks(scene: Scene) -> Iterator[LintFinding]:
+def never_asks(scene: LintScene) -> Iterator[LintFinding]:
     """A threshold above every risk that the mission can reach asks nobody, whatever happens."""
     mission = scene.mission
     highest = max(
@@ -198,7 +198,7 @@ def never_asks(scene: Scene) -> Iterator[LintFinding]:
         )
 
 
-def _is_sensitive(grant: Grant, scene: Scene) -> bool:
+def _is_sensitive(grant: Grant, scene: LintScene) -> bool:
     """True for what touches privacy, hazards, or presses hard."""
     kind: ActionKind | None = scene.facts.vocabulary.get(grant.type)
     if kind is not None and kind.privacy:

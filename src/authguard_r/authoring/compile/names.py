@@ -13,7 +13,7 @@ from typing import NoReturn
 
 from msgspec import Struct
 
-from authguard_r.authoring.compile.questions import Questions
+from authguard_r.authoring.compile.questions import CompileQuestions
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import is_identifier
 from authguard_r.core.reasons import Reason
@@ -24,12 +24,14 @@ OBJECT, REGION = "object", "region"
 _LONGEST = 80
 
 
-class Names(Struct, frozen=True):
+class SiteNames(Struct, frozen=True):
     """Every spelling that the site knows: by kind of thing, the ids that bear it."""
 
     known: dict[str, dict[str, tuple[str, ...]]]
 
-    def resolve(self, text: str, kind: str, *, where: str, questions: Questions) -> str | None:
+    def resolve(
+        self, text: str, kind: str, *, where: str, questions: CompileQuestions
+    ) -> str | None:
         """Return the one id that the text is a spelling of, or None once it was asked about.
 
         Args:
@@ -43,7 +45,7 @@ class Names(Struct, frozen=True):
         """
         return self._one(text, self.known[kind].get(text, ()), kind, where, questions)
 
-    def value(self, text: str, *, where: str, questions: Questions) -> str | None:
+    def value(self, text: str, *, where: str, questions: CompileQuestions) -> str | None:
         """Return what a condition compares with: an id as it stands, or what a name stands for.
 
         Raises:
@@ -55,7 +57,7 @@ class Names(Struct, frozen=True):
         return self._one(text, found, "object or region", where, questions)
 
     def _one(
-        self, text: str, found: tuple[str, ...], kind: str, where: str, questions: Questions
+        self, text: str, found: tuple[str, ...], kind: str, where: str, questions: CompileQuestions
     ) -> str | None:
         if not found:
             self._refuse(text, kind, where)
@@ -84,7 +86,7 @@ def unknown(text: str, kind: str, spelled: Iterable[str], *, where: str) -> Malf
     return MalformedError(message, where=where, reason=Reason.NAME_UNKNOWN)
 
 
-def names_of(site: Site) -> Names:
+def names_of(site: Site) -> SiteNames:
     """Return every spelling of the site's objects and regions."""
     objects: dict[str, list[str]] = {}
     regions: dict[str, list[str]] = {}
@@ -94,7 +96,7 @@ def names_of(site: Site) -> Names:
     for region, model in site.regions.items():
         for name in {region, *model.names}:
             regions.setdefault(name, []).append(region)
-    return Names(
+    return SiteNames(
         {
             OBJECT: {name: tuple(items) for name, items in objects.items()},
             REGION: {name: tuple(items) for name, items in regions.items()},

@@ -15,7 +15,7 @@ from authguard_r.authoring.compile.units import to_integer
 from authguard_r.core.errors import ClarificationError
 
 
-class Questions:
+class CompileQuestions:
     """The questions that one round of compiling found open."""
 
     def __init__(self) -> None:

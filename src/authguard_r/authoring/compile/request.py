@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from authguard_r.client.approvals import Shown
+from authguard_r.client.approvals import ShownRequest
 from authguard_r.core.action import ActionScope
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.site import formatting
 from authguard_r.site.model import Site
-from authguard_r.wire.approval_request import Answered, Question
+from authguard_r.wire.approval_request import ApprovalAnswer, Question
 
 _TIERS = {1: "ordinary", 2: "elevated", 3: "high"}
 _MARKED = frozenset({"private", "restricted", "hazardous"})
@@ -46,7 +46,7 @@ def marks(scope: ActionScope, site: Site) -> list[str]:
     return [*found, *([f"HAZARDOUS: {scope.object}"] if is_hazardous else [])]
 
 
-def brief(question: Question, opened: Shown, site: Site | None = None) -> list[str]:
+def brief(question: Question, opened: ShownRequest, site: Site | None = None) -> list[str]:
     """Return a request in a few lines, for a list."""
     return [
         f"{question.counter:4}  {action_line(opened.scope, site)}",
@@ -57,12 +57,12 @@ def brief(question: Question, opened: Shown, site: Site | None = None) -> list[s
     ]
 
 
-def card(question: Question, opened: Shown, site: Site | None = None) -> list[str]:
+def card(question: Question, opened: ShownRequest, site: Site | None = None) -> list[str]:
     """Return a request whole, for the person who is about to answer it."""
     return list(_card(question, opened, site))
 
 
-def _card(question: Question, opened: Shown, site: Site | None) -> Iterator[str]:
+def _card(question: Question, opened: ShownRequest, site: Site | None) -> Iterator[str]:
     yield f"Request {question.counter}: {_mission(question)}, robot {question.rid}"
     yield f"  WHAT  {action_line(opened.scope, site)}"
     for mark in () if site is None else marks(opened.scope, site):
@@ -97,7 +97,7 @@ def _may_answer(question: Question) -> Iterator[str]:
     yield f"    whose certificates name {question.rid}{places}"
 
 
-def _answer(answer: Answered) -> str:
+def _answer(answer: ApprovalAnswer) -> str:
     group = f", {answer.threshold} of {', '.join(answer.members)}" if answer.members else ""
     said = "approves" if answer.verdict == "approve" else "DENIES"
     worth = f"; DOES NOT COUNT: {answer.why_not}" if answer.why_not else ""
@@ -108,7 +108,7 @@ def _mission(question: Question) -> str:
     return f"mission {question.mid} version {question.version}, grant {question.grant}"
 
 
-def _tier(opened: Shown) -> str:
+def _tier(opened: ShownRequest) -> str:
     tier = opened.situation.tier
     return f"tier {tier}, {_TIERS.get(tier, 'unknown')}"
 

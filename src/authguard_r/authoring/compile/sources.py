@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 
 from authguard_r.audit.deviation import Weights
 from authguard_r.authoring.compile.draft import Quantity
-from authguard_r.authoring.compile.questions import Questions
+from authguard_r.authoring.compile.questions import CompileQuestions
 from authguard_r.core.checks.provenance import wider_sources
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import MAX_INTEGER
@@ -37,7 +37,9 @@ def build_sources(given: Mapping[str, tuple[str, ...]], site: Site) -> dict[str,
     return {field: sorted(set(labels)) for field, labels in given.items()}
 
 
-def build_retention(given: Mapping[str, Quantity], asked: Questions) -> dict[str, int | None]:
+def build_retention(
+    given: Mapping[str, Quantity], asked: CompileQuestions
+) -> dict[str, int | None]:
     """Return how long the sealed fields of each class are kept, in milliseconds.
 
     Raises:

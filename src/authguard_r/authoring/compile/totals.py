@@ -6,14 +6,14 @@ from __future__ import annotations
 from typing import Any
 
 from authguard_r.authoring.compile.draft import DraftBudgets, DraftRisk
-from authguard_r.authoring.compile.grants import Words, build_guard, unit_of_limit
-from authguard_r.authoring.compile.questions import Questions
+from authguard_r.authoring.compile.grants import GrantWords, build_guard, unit_of_limit
+from authguard_r.authoring.compile.questions import CompileQuestions
 from authguard_r.authoring.compile.sources import read_weights
 
 _MS, _BYTE = "ms", "byte"
 
 
-def build_budgets(given: DraftBudgets, asked: Questions) -> dict[str, Any]:
+def build_budgets(given: DraftBudgets, asked: CompileQuestions) -> dict[str, Any]:
     """Return the budgets; each one that is not said is asked about."""
     return {
         "actions": asked.given(given.actions, "How many actions in all?", "budgets.actions"),
@@ -46,7 +46,7 @@ def build_budgets(given: DraftBudgets, asked: Questions) -> dict[str, Any]:
     }
 
 
-def build_risk(given: DraftRisk, words: Words) -> dict[str, Any]:
+def build_risk(given: DraftRisk, words: GrantWords) -> dict[str, Any]:
     """Return the risk policy; each threshold that is not said is asked about."""
     asked = words.asked
     plain: dict[str, Any] = {

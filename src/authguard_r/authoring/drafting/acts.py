@@ -9,20 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from authguard_r.authoring.drafting.clauses import Clause, Condition
-from authguard_r.authoring.drafting.frames import PLAIN, Frame
+from authguard_r.authoring.drafting.clauses import BatteryCondition, Clause
+from authguard_r.authoring.drafting.frames import PLAIN, VerbFrame
 from authguard_r.authoring.drafting.lexicon import Ref, Sort
-from authguard_r.authoring.drafting.plan import Plan, Step
+from authguard_r.authoring.drafting.plan import DraftPlan, GrantStep
 from authguard_r.authoring.drafting.resolve import ANY, OBJECTS, REGIONS, field_of
 from authguard_r.core.identifiers import RobotId
 
 #: What a pronoun's antecedent must lend itself to, by frame.
-_ABLE = {Frame.OPEN: "open", Frame.CLOSE: "open", Frame.FILL: "fill"}
+_ABLE = {VerbFrame.OPEN: "open", VerbFrame.CLOSE: "open", VerbFrame.FILL: "fill"}
 ALWAYS = "always"
 WHEN_LOW = "when the battery is low"
 
 
-def act(plan: Plan, clause: Clause) -> None:
+def act(plan: DraftPlan, clause: Clause) -> None:
     """Add the steps of one clause to the plan, or ask what it leaves open."""
     first = len(plan.steps)
     for _ in range(_rounds(plan, clause)):
@@ -35,7 +35,7 @@ def act(plan: Plan, clause: Clause) -> None:
         plan.asking.assume(field, "no bound", "nothing in this clause has a speed or a force")
 
 
-def _rounds(plan: Plan, clause: Clause) -> int:
+def _rounds(plan: DraftPlan, clause: Clause) -> int:
     """Return how often the clause's steps are laid out; a plain act is repeated by its grant."""
     if clause.frame in _REPEATED_BY_GRANT or clause.repeat <= 1:
         return 1
@@ -45,29 +45,29 @@ def _rounds(plan: Plan, clause: Clause) -> int:
     return clause.repeat
 
 
-def _items(plan: Plan, clause: Clause, able: str) -> list[str]:
+def _items(plan: DraftPlan, clause: Clause, able: str) -> list[str]:
     found = plan.resolver.each(clause, "object", "object", OBJECTS, able=able)
     return [ref.id for ref in found]
 
 
-def _place_of(plan: Plan, ref: Ref) -> str:
+def _place_of(plan: DraftPlan, ref: Ref) -> str:
     """Return the region that a thing or a place is."""
     return plan.places[ref.id] if ref.sort is Sort.OBJECT else ref.id
 
 
-def _plain(plan: Plan, clause: Clause) -> None:
+def _plain(plan: DraftPlan, clause: Clause) -> None:
     for item in _items(plan, clause, _ABLE.get(clause.frame, "")):
         plan.reach(clause, item)
-        if clause.frame is Frame.CLOSE:
+        if clause.frame is VerbFrame.CLOSE:
             plan.close(clause, item)
             plan.opened.discard(item)
             continue
         plan.do(clause, str(clause.frame), object=item, repeat=max(clause.repeat, 1))
-        if clause.frame is Frame.OPEN:
+        if clause.frame is VerbFrame.OPEN:
             plan.opened.add(item)
 
 
-def _turn(plan: Plan, clause: Clause) -> None:
+def _turn(plan: DraftPlan, clause: Clause) -> None:
     states = clause.state
     if not states:
         answer = plan.asking.ask(field_of(clause, "state"), "On or off?", ("on", "off"))
@@ -78,13 +78,13 @@ def _turn(plan: Plan, clause: Clause) -> None:
             plan.do(clause, f"turn_{state}", object=item, repeat=max(clause.repeat, 1))
 
 
-def _find(plan: Plan, clause: Clause) -> None:
+def _find(plan: DraftPlan, clause: Clause) -> None:
     for item in _items(plan, clause, ""):
         plan.reach(clause, item)
         plan.do(clause, "find", object=item)
 
 
-def _source(plan: Plan, clause: Clause) -> tuple[bool, str | None]:
+def _source(plan: DraftPlan, clause: Clause) -> tuple[bool, str | None]:
     """Return whether the source is settled, and what the sentence says of it."""
     if "from" not in clause.roles:
         return True, None
@@ -92,7 +92,7 @@ def _source(plan: Plan, clause: Clause) -> tuple[bool, str | None]:
     return (False, None) if ref is None else (True, _place_of(plan, ref))
 
 
-def _pick(plan: Plan, clause: Clause) -> None:
+def _pick(plan: DraftPlan, clause: Clause) -> None:
     if "to" in clause.roles and "from" not in clause.roles:
         clause.roles["from"] = clause.roles.pop("to")  # `pick the mug in the kitchen`
     known, source = _source(plan, clause)
@@ -100,7 +100,7 @@ def _pick(plan: Plan, clause: Clause) -> None:
         plan.take(clause, item, source=source, implied=False)
 
 
-def _deliver(plan: Plan, clause: Clause) -> None:
+def _deliver(plan: DraftPlan, clause: Clause) -> None:
     """Bring things somewhere; `take P1` alone is a pick, `move to the dock` a motion."""
     if clause.verb == "move" and "object" not in clause.roles:
         _go(plan, clause)
@@ -121,7 +121,7 @@ def _targets(clause: Clause) -> tuple[Sort, ...]:
     return ANY if clause.roles.get("to") else REGIONS
 
 
-def _put(plan: Plan, clause: Clause) -> None:
+def _put(plan: DraftPlan, clause: Clause) -> None:
     items = _items(plan, clause, "carry")
     target = plan.resolver.one(clause, "to", "destination", ANY)
     for item in items if target is not None else ():
@@ -130,7 +130,7 @@ def _put(plan: Plan, clause: Clause) -> None:
         _put_at(plan, clause, item, target)
 
 
-def _put_at(plan: Plan, clause: Clause, item: str, target: Ref | None) -> None:
+def _put_at(plan: DraftPlan, clause: Clause, item: str, target: Ref | None) -> None:
     if target is None:
         return
     if target.sort is Sort.REGION:
@@ -141,7 +141,7 @@ def _put_at(plan: Plan, clause: Clause, item: str, target: Ref | None) -> None:
         plan.put_into(clause, item, target.id)
 
 
-def _let_go(plan: Plan, clause: Clause) -> None:
+def _let_go(plan: DraftPlan, clause: Clause) -> None:
     """Drop or throw."""
     for item in _items(plan, clause, "carry"):
         target = (
@@ -156,13 +156,13 @@ def _let_go(plan: Plan, clause: Clause) -> None:
         plan.places[item], plan.holding = plan.at or plan.places[item], None
 
 
-def _goals(plan: Plan, clause: Clause) -> list[str]:
+def _goals(plan: DraftPlan, clause: Clause) -> list[str]:
     role = "to" if "to" in clause.roles or "object" not in clause.roles else "object"
     sorts = ANY if clause.roles.get(role) else REGIONS
     return [_place_of(plan, ref) for ref in plan.resolver.each(clause, role, "destination", sorts)]
 
 
-def _go(plan: Plan, clause: Clause) -> None:
+def _go(plan: DraftPlan, clause: Clause) -> None:
     if "from" in clause.roles:
         start = plan.resolver.one(clause, "from", "source", REGIONS)
         if start is None:
@@ -172,7 +172,7 @@ def _go(plan: Plan, clause: Clause) -> None:
         plan.go(clause, region, implied=False)
 
 
-def _return(plan: Plan, clause: Clause) -> None:
+def _return(plan: DraftPlan, clause: Clause) -> None:
     """Go home: after something, or under a condition; never whenever the planner likes."""
     if "object" in clause.roles:
         _deliver(plan, clause)
@@ -187,15 +187,15 @@ def _return(plan: Plan, clause: Clause) -> None:
         _go_back(plan, clause, region)
 
 
-def _ask_condition(plan: Plan, clause: Clause) -> None:
+def _ask_condition(plan: DraftPlan, clause: Clause) -> None:
     field = field_of(clause, "condition")
     question = "Under which condition may the robot return?"
     answer = plan.asking.ask(field, question, (WHEN_LOW, ALWAYS))
     if answer == WHEN_LOW:
-        clause.condition = Condition(WHEN_LOW, "lt", None)
+        clause.condition = BatteryCondition(WHEN_LOW, "lt", None)
 
 
-def _go_back(plan: Plan, clause: Clause, region: str) -> None:
+def _go_back(plan: DraftPlan, clause: Clause, region: str) -> None:
     """Return after the step before; on a condition or alone, from wherever the robot may be."""
     if clause.condition is None and plan.last:
         plan.go(clause, region, implied=False)
@@ -203,11 +203,11 @@ def _go_back(plan: Plan, clause: Clause, region: str) -> None:
         plan.come_back(clause, region)
 
 
-def _guide(plan: Plan, clause: Clause) -> None:
+def _guide(plan: DraftPlan, clause: Clause) -> None:
     _go(plan, clause)
 
 
-def _wait(plan: Plan, clause: Clause) -> None:
+def _wait(plan: DraftPlan, clause: Clause) -> None:
     first = len(plan.steps)
     if "to" in clause.roles:
         target = plan.resolver.one(clause, "to", "destination", ANY)
@@ -217,7 +217,7 @@ def _wait(plan: Plan, clause: Clause) -> None:
     plan.do(clause, "wait", after=tuple(range(first, len(plan.steps))))
 
 
-def _look(plan: Plan, clause: Clause) -> None:
+def _look(plan: DraftPlan, clause: Clause) -> None:
     """Inspect, photograph or record: each data right is said or asked about, none is implied."""
     role = "object" if "object" in clause.roles or "to" not in clause.roles else "to"
     slot = "destination" if role == "to" or _names_places(clause) else "object"
@@ -247,9 +247,9 @@ def _names_places(clause: Clause) -> bool:
     return bool(refs) and all(ref.sort is Sort.REGION for ref in refs)
 
 
-def _camera(plan: Plan, clause: Clause, ref: Ref, rights: dict[str, bool]) -> str:
+def _camera(plan: DraftPlan, clause: Clause, ref: Ref, rights: dict[str, bool]) -> str:
     """Return the type that sees what is asked for and needs no right that was not given."""
-    if clause.frame is not Frame.INSPECT:
+    if clause.frame is not VerbFrame.INSPECT:
         return str(clause.frame)
     usable = ("inspect", "take_photo", "record_video")
     for kind in usable if ref.sort is Sort.OBJECT else usable[1:]:
@@ -262,10 +262,10 @@ def _camera(plan: Plan, clause: Clause, ref: Ref, rights: dict[str, bool]) -> st
     return "take_photo"
 
 
-def _rights(plan: Plan, clause: Clause) -> dict[str, bool] | None:
+def _rights(plan: DraftPlan, clause: Clause) -> dict[str, bool] | None:
     """Return the data rights, or None while one is open."""
     said = dict(clause.rights)
-    if clause.frame is not Frame.INSPECT:
+    if clause.frame is not VerbFrame.INSPECT:
         said.setdefault("record", True)
     for right in ("record", "store", "transmit"):
         if right in said:
@@ -280,14 +280,14 @@ def _rights(plan: Plan, clause: Clause) -> dict[str, bool] | None:
     return said if len(said) == 3 else None
 
 
-def _fill(plan: Plan, clause: Clause) -> None:
+def _fill(plan: DraftPlan, clause: Clause) -> None:
     for item in _items(plan, clause, "fill"):
         plan.reach(clause, item)
         plan.do(clause, "fill", object=item)
         plan.filled[item] = clause.liquid
 
 
-def _pour(plan: Plan, clause: Clause) -> None:
+def _pour(plan: DraftPlan, clause: Clause) -> None:
     """Pour from a vessel onto a thing or place; what is poured is filled in first if it must be."""
     role = next((name for name in ("from", "with", "object") if name in clause.roles), "")
     target = plan.resolver.one(clause, "to", "destination", ANY)
@@ -310,7 +310,7 @@ def _pour(plan: Plan, clause: Clause) -> None:
     plan.filled.pop(vessel, None)
 
 
-def _vessel(plan: Plan, clause: Clause, role: str) -> str | None:
+def _vessel(plan: DraftPlan, clause: Clause, role: str) -> str | None:
     if role:
         ref = plan.resolver.one(clause, role, "object", OBJECTS, able="fill")
         return None if ref is None else ref.id
@@ -323,7 +323,7 @@ def _vessel(plan: Plan, clause: Clause, role: str) -> str | None:
     )
 
 
-def _heat(plan: Plan, clause: Clause) -> None:
+def _heat(plan: DraftPlan, clause: Clause) -> None:
     """Put a thing into an appliance and turn that on; without one, `cook`."""
     if "to" not in clause.roles:
         for item in _items(plan, clause, "carry"):
@@ -339,7 +339,7 @@ def _heat(plan: Plan, clause: Clause) -> None:
         plan.do(clause, "turn_on", object=target.id)
 
 
-def _leave(plan: Plan, clause: Clause) -> None:
+def _leave(plan: DraftPlan, clause: Clause) -> None:
     """`leave it open` opens what is closed; any other leaving grants nothing.
 
     It says how a thing is left, not in which order: where nobody has to go, it may be opened before
@@ -352,34 +352,41 @@ def _leave(plan: Plan, clause: Clause) -> None:
         if item not in plan.opened:
             here = plan.at == plan.places[item] and bool(plan.last)
             plan.reach(clause, item)
-            step = Step(type="open", source=plan.at, object=item, closes=here)
+            step = GrantStep(type="open", source=plan.at, object=item, closes=here)
             plan.add(clause, step, free=here)
             plan.opened.add(item)
 
 
 _LAID_OUT = frozenset(
-    {Frame.PATROL, Frame.WAIT, Frame.INSPECT, Frame.PHOTO, Frame.RECORD, Frame.POUR}
+    {
+        VerbFrame.PATROL,
+        VerbFrame.WAIT,
+        VerbFrame.INSPECT,
+        VerbFrame.PHOTO,
+        VerbFrame.RECORD,
+        VerbFrame.POUR,
+    }
 )
-_REPEATED_BY_GRANT = frozenset({Frame.TURN, *PLAIN})
-_ACTS: dict[Frame, Callable[[Plan, Clause], None]] = {
-    Frame.DELIVER: _deliver,
-    Frame.FETCH: _deliver,
-    Frame.PICK: _pick,
-    Frame.PUT: _put,
-    Frame.DROP: _let_go,
-    Frame.THROW: _let_go,
-    Frame.GO: _go,
-    Frame.PATROL: _go,
-    Frame.GUIDE: _guide,
-    Frame.RETURN: _return,
-    Frame.WAIT: _wait,
-    Frame.INSPECT: _look,
-    Frame.PHOTO: _look,
-    Frame.RECORD: _look,
-    Frame.FIND: _find,
-    Frame.TURN: _turn,
-    Frame.POUR: _pour,
-    Frame.FILL: _fill,
-    Frame.HEAT: _heat,
-    Frame.LEAVE: _leave,
+_REPEATED_BY_GRANT = frozenset({VerbFrame.TURN, *PLAIN})
+_ACTS: dict[VerbFrame, Callable[[DraftPlan, Clause], None]] = {
+    VerbFrame.DELIVER: _deliver,
+    VerbFrame.FETCH: _deliver,
+    VerbFrame.PICK: _pick,
+    VerbFrame.PUT: _put,
+    VerbFrame.DROP: _let_go,
+    VerbFrame.THROW: _let_go,
+    VerbFrame.GO: _go,
+    VerbFrame.PATROL: _go,
+    VerbFrame.GUIDE: _guide,
+    VerbFrame.RETURN: _return,
+    VerbFrame.WAIT: _wait,
+    VerbFrame.INSPECT: _look,
+    VerbFrame.PHOTO: _look,
+    VerbFrame.RECORD: _look,
+    VerbFrame.FIND: _find,
+    VerbFrame.TURN: _turn,
+    VerbFrame.POUR: _pour,
+    VerbFrame.FILL: _fill,
+    VerbFrame.HEAT: _heat,
+    VerbFrame.LEAVE: _leave,
 }

@@ -9,11 +9,11 @@ from __future__ import annotations
 from authguard_r.authoring.drafting import frames
 from authguard_r.authoring.drafting.clauses import Clause
 from authguard_r.authoring.drafting.cursor import Cursor
-from authguard_r.authoring.drafting.frames import Frame
+from authguard_r.authoring.drafting.frames import VerbFrame
 from authguard_r.authoring.drafting.measures import read_measure, read_number
 
 _MARKS = frozenset("\"'\u201c\u201d\u2018\u2019()")
-_PUTS = frozenset({Frame.PUT, Frame.DELIVER})
+_PUTS = frozenset({VerbFrame.PUT, VerbFrame.DELIVER})
 
 
 def take_amount(here: Cursor, clause: Clause) -> bool:

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from authguard_r.authoring.drafting.proposal import Assumption, Question
+from authguard_r.authoring.drafting.proposal import Assumption, DraftQuestion
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
 
 
-class Asking:
+class DraftDialog:
     """What is settled, what is open, and what was assumed.
 
     Args:
@@ -20,7 +20,7 @@ class Asking:
     def __init__(self, settled: Mapping[str, str]) -> None:
         self._settled = dict(settled)
         self._used: set[str] = set()
-        self.questions: list[Question] = []
+        self.questions: list[DraftQuestion] = []
         self.assumed: list[Assumption] = []
 
     def ask(self, field: str, question: str, candidates: Iterable[str] = ()) -> str | None:
@@ -32,7 +32,7 @@ class Asking:
         known = tuple(candidates)
         answer = self.answer(field)
         if answer is None:
-            asked = Question(field, question, known)
+            asked = DraftQuestion(field, question, known)
             if asked.field not in {item.field for item in self.questions}:
                 self.questions.append(asked)
             return None
@@ -48,7 +48,7 @@ class Asking:
         """Keep a question that only another sentence can settle, instead of any other about it."""
         self._used.add(field)
         self.questions = [item for item in self.questions if item.field != field]
-        self.questions.append(Question(field, question))
+        self.questions.append(DraftQuestion(field, question))
 
     def asked(self, field: str) -> bool:
         """True when something was asked about a field, answered or not."""
@@ -58,7 +58,7 @@ class Asking:
         """Let a question that names a thing settle words at it, too."""
         for number, item in enumerate(self.questions):
             if item.field == field:
-                self.questions[number] = Question(
+                self.questions[number] = DraftQuestion(
                     field, f"{fault}. {item.question}", item.candidates
                 )
                 return

@@ -49,7 +49,7 @@ class Chat(Protocol):
         ...
 
 
-class Reach(Struct, frozen=True, kw_only=True):
+class ModelAddress(Struct, frozen=True, kw_only=True):
     """Where a model is and how long it may take.
 
     Args:
@@ -91,7 +91,7 @@ class Reach(Struct, frozen=True, kw_only=True):
 class OpenAIChat(Struct, frozen=True):
     """A server that speaks the chat completions protocol."""
 
-    reach: Reach
+    reach: ModelAddress
 
     @property
     def name(self) -> str:
@@ -132,7 +132,7 @@ class OpenAIChat(Struct, frozen=True):
 class AnthropicChat(Struct, frozen=True):
     """A server that speaks the Messages protocol."""
 
-    reach: Reach
+    reach: ModelAddress
 
     @property
     def name(self) -> str:
@@ -202,7 +202,9 @@ def _part(load: Callable[[], T]) -> T:
         ) from error
 
 
-def _in_time(reach: Reach, part: Any, answer: Callable[[httpx2.AsyncClient], Awaitable[T]]) -> T:
+def _in_time(
+    reach: ModelAddress, part: Any, answer: Callable[[httpx2.AsyncClient], Awaitable[T]]
+) -> T:
     """Return the answer, or end the exchange when the time for all of it is over."""
 
     async def exchange() -> T:
@@ -214,7 +216,7 @@ def _in_time(reach: Reach, part: Any, answer: Callable[[httpx2.AsyncClient], Awa
         return asyncio.run(exchange())
 
 
-def _client(reach: Reach) -> httpx2.AsyncClient:
+def _client(reach: ModelAddress) -> httpx2.AsyncClient:
     """Return a client that takes nothing from the environment and goes nowhere else."""
     web: Any = _part(_import_httpx2)
     if not reach.base_url.startswith(("http://", "https://")):
@@ -261,7 +263,7 @@ async def _bound_body(response: httpx2.Response) -> None:
 
 
 @contextmanager
-def _faults(reach: Reach, part: Any) -> Iterator[None]:
+def _faults(reach: ModelAddress, part: Any) -> Iterator[None]:
     """Turn whatever the client raises into one clear fault, without keys and bodies."""
     try:
         yield
@@ -281,7 +283,7 @@ def _faults(reach: Reach, part: Any) -> Iterator[None]:
         raise _odd("expected a reply of the protocol") from error
 
 
-def _silent(reach: Reach, what: str) -> EnvironmentFault:
+def _silent(reach: ModelAddress, what: str) -> EnvironmentFault:
     return EnvironmentFault(
         f"the model server at `{reach.base_url}` {what}: check --base-url, --model and the key",
         reason=Reason.STORE_UNAVAILABLE,

@@ -12,12 +12,12 @@ from enum import StrEnum
 import msgspec
 from msgspec import Struct
 
-from authguard_r.authoring.drafting.frames import Frame
+from authguard_r.authoring.drafting.frames import VerbFrame
 from authguard_r.authoring.drafting.lexicon import Ref
-from authguard_r.authoring.drafting.measures import Daytime, Dimension, Measure
+from authguard_r.authoring.drafting.measures import Daytime, Measure, QuantityDimension
 
 
-class Way(StrEnum):
+class PhraseWay(StrEnum):
     """How a phrase names its thing."""
 
     NAMED = "named"
@@ -27,7 +27,7 @@ class Way(StrEnum):
     DOOR = "door"  # the door of a place, or between two
 
 
-class Phrase(Struct, frozen=True):
+class NounPhrase(Struct, frozen=True):
     """One noun phrase.
 
     Args:
@@ -41,7 +41,7 @@ class Phrase(Struct, frozen=True):
     """
 
     text: str
-    way: Way
+    way: PhraseWay
     number: int
     clause: int
     refs: tuple[Ref, ...] = ()
@@ -49,7 +49,7 @@ class Phrase(Struct, frozen=True):
     sides: tuple[tuple[Ref, ...], ...] = ()
 
 
-class Stray(Struct):
+class UnparsedWord(Struct):
     """A run of words that nothing explains.
 
     Args:
@@ -73,7 +73,7 @@ class Stray(Struct):
     phrase: int | None = None
 
 
-class Condition(Struct, frozen=True):
+class BatteryCondition(Struct, frozen=True):
     """A condition on the battery: `low`, or a share with its side.
 
     Args:
@@ -108,17 +108,17 @@ class Clause(Struct):
     """
 
     number: int
-    frame: Frame
+    frame: VerbFrame
     verb: str
     state: list[str] = msgspec.field(default_factory=list)
-    roles: dict[str, list[Phrase]] = msgspec.field(default_factory=dict)
+    roles: dict[str, list[NounPhrase]] = msgspec.field(default_factory=dict)
     liquid: str | None = None
-    measures: dict[Dimension, Measure] = msgspec.field(default_factory=dict)
+    measures: dict[QuantityDimension, Measure] = msgspec.field(default_factory=dict)
     bare: list[tuple[str, str]] = msgspec.field(default_factory=list)
     repeat: int = 0
     careful: bool = False
     rights: dict[str, bool] = msgspec.field(default_factory=dict)
-    condition: Condition | None = None
+    condition: BatteryCondition | None = None
     earlier: bool = False
     extras: set[str] = msgspec.field(default_factory=set)
 
@@ -142,12 +142,12 @@ class Sentence(Struct):
 
     text: str
     clauses: list[Clause] = msgspec.field(default_factory=list)
-    phrases: list[Phrase] = msgspec.field(default_factory=list)
+    phrases: list[NounPhrase] = msgspec.field(default_factory=list)
     robots: list[str] = msgspec.field(default_factory=list)
     deadline: Daytime | None = None
     start: Daytime | None = None
     begin: str | None = None
     expiry: str | None = None
     length: Measure | None = None
-    unknown: list[Stray] = msgspec.field(default_factory=list)
+    unknown: list[UnparsedWord] = msgspec.field(default_factory=list)
     unsettled: list[str] = msgspec.field(default_factory=list)

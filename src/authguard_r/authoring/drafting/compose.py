@@ -10,9 +10,9 @@ from __future__ import annotations
 from fractions import Fraction
 from typing import Any
 
-from authguard_r.authoring.drafting.asking import Asking
-from authguard_r.authoring.drafting.plan import NOTHING, Step
-from authguard_r.authoring.drafting.profile import Profile, measure
+from authguard_r.authoring.drafting.asking import DraftDialog
+from authguard_r.authoring.drafting.plan import NOTHING, GrantStep
+from authguard_r.authoring.drafting.profile import DraftProfile, measure
 from authguard_r.core.identifiers import ActionType, RobotId, is_identifier
 from authguard_r.site.model import Site
 
@@ -27,14 +27,20 @@ class Composer:
         asking: where questions and assumptions are kept.
     """
 
-    def __init__(self, site: Site, robot: str, profile: Profile, asking: Asking) -> None:
+    def __init__(self, site: Site, robot: str, profile: DraftProfile, asking: DraftDialog) -> None:
         self._site = site
         self._robot = robot
         self._profile = profile
         self._asking = asking
 
     def draft(
-        self, steps: list[Step], *, mission: str, task: str, issuer: str, window: dict[str, str]
+        self,
+        steps: list[GrantStep],
+        *,
+        mission: str,
+        task: str,
+        issuer: str,
+        window: dict[str, str],
     ) -> dict[str, Any]:
         """Return the whole draft.
 
@@ -76,7 +82,9 @@ class Composer:
         self._asking.assume(field, value, "the profile")
         return value
 
-    def _grant(self, step: Step, number: int, ids: list[str], *, completes: bool) -> dict[str, Any]:
+    def _grant(
+        self, step: GrantStep, number: int, ids: list[str], *, completes: bool
+    ) -> dict[str, Any]:
         rows = self._rows(step)
         plain: dict[str, Any] = {
             "id": ids[number],
@@ -113,7 +121,7 @@ class Composer:
             return tools[0]
         return self._asking.ask(f"tool.{kind}", f"Which tool carries out `{kind}`?", tools)
 
-    def _rows(self, step: Step) -> list[dict[str, Any]]:
+    def _rows(self, step: GrantStep) -> list[dict[str, Any]]:
         """Return the rows: one for each attested place that the step may start from."""
         if step.ways:
             return [
@@ -132,7 +140,7 @@ class Composer:
             rows.append(kept | {"regions": sorted(within)} if within else kept)  # type: ignore[type-var]
         return rows
 
-    def _guards(self, step: Step) -> list[dict[str, Any]]:
+    def _guards(self, step: GrantStep) -> list[dict[str, Any]]:
         found = [] if step.condition is None else [step.condition]
         return found if step.holding is None else [*found, self._held(step.holding)]
 
@@ -140,7 +148,7 @@ class Composer:
         age = self._take("holding.max_age", self._profile.holding_max_age)
         return {"variable": "holding", "eq": item or NOTHING, "max_age": age}
 
-    def _lease(self, step: Step) -> str:
+    def _lease(self, step: GrantStep) -> str:
         """Return the longest lease: the sentence's duration with some slack, else the profile's."""
         if "duration_ms" in step.limits:
             said = measure(str(step.limits["duration_ms"][1])).amount
@@ -151,7 +159,7 @@ class Composer:
         self._take(f"max.{step.type}", text)
         return text
 
-    def _budgets(self, steps: list[Step], grants: list[dict[str, Any]]) -> dict[str, Any]:
+    def _budgets(self, steps: list[GrantStep], grants: list[dict[str, Any]]) -> dict[str, Any]:
         """Return totals: exactly what the grants can use, no more."""
         motion = waiting = recorded = Fraction(0)
         for step, grant in zip(steps, grants, strict=True):
@@ -175,7 +183,7 @@ class Composer:
         return plain
 
 
-def _ids(steps: list[Step]) -> list[str]:
+def _ids(steps: list[GrantStep]) -> list[str]:
     """Return readable grant ids that differ."""
     found: list[str] = []
     for number, step in enumerate(steps, 1):

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from authguard_r.authoring.drafting.tokens import Token
+from authguard_r.authoring.drafting.tokens import SentenceToken
 
 
 class Cursor:
@@ -13,7 +13,7 @@ class Cursor:
         tokens: the sentence.
     """
 
-    def __init__(self, tokens: tuple[Token, ...]) -> None:
+    def __init__(self, tokens: tuple[SentenceToken, ...]) -> None:
         self.tokens = tokens
         self.at = 0
 

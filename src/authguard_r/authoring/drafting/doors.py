@@ -12,7 +12,7 @@ import re
 from msgspec import Struct
 
 from authguard_r.authoring.drafting.cursor import Cursor
-from authguard_r.authoring.drafting.lexicon import Lexicon, Match, Ref, Sort
+from authguard_r.authoring.drafting.lexicon import Lexicon, PhraseMatch, Ref, Sort
 from authguard_r.site.model import ObjectModel, Site
 
 KIND = "door"
@@ -76,7 +76,7 @@ def passages(site: Site) -> tuple[str, ...]:
     return tuple(sorted({str(door.variable) for door in site.doors if door.variable is not None}))
 
 
-def _region(here: Cursor, offset: int, lexicon: Lexicon) -> Match | None:
+def _region(here: Cursor, offset: int, lexicon: Lexicon) -> PhraseMatch | None:
     match = lexicon.match(here.tokens, here.at + offset)
     if match is None or any(ref.sort is not Sort.REGION for ref in match.refs):
         return None

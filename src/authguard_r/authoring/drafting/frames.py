@@ -18,7 +18,7 @@ def _words(text: str) -> frozenset[str]:
     return frozenset(text.split())
 
 
-class Frame(StrEnum):
+class VerbFrame(StrEnum):
     """What a clause asks for."""
 
     DELIVER = "deliver"
@@ -52,58 +52,58 @@ class Frame(StrEnum):
     USE_UP = "use_up"
 
 
-class Verb(Struct, frozen=True):
+class VerbWording(Struct, frozen=True):
     """One wording of a frame; `state` is what `turn on` and `turn off` differ by."""
 
-    frame: Frame
+    frame: VerbFrame
     state: str = ""
 
 
 #: Frames that act on one thing where it is: the action type has the frame's own name.
 PLAIN = frozenset(
     {
-        Frame.OPEN,
-        Frame.CLOSE,
-        Frame.SLICE,
-        Frame.BREAK,
-        Frame.COOK,
-        Frame.CLEAN,
-        Frame.DIRTY,
-        Frame.EMPTY,
-        Frame.USE_UP,
+        VerbFrame.OPEN,
+        VerbFrame.CLOSE,
+        VerbFrame.SLICE,
+        VerbFrame.BREAK,
+        VerbFrame.COOK,
+        VerbFrame.CLEAN,
+        VerbFrame.DIRTY,
+        VerbFrame.EMPTY,
+        VerbFrame.USE_UP,
     }
 )
 
-_WORDINGS: dict[Frame, str] = {
-    Frame.DELIVER: "deliver, bring, carry, transport, hand over, take, move",
-    Frame.FETCH: "fetch, get, collect, retrieve",
-    Frame.PICK: "pick up, pick, grab, grasp, lift, pick it up",
-    Frame.PUT: "put down, put, place, set down, set, insert, lay",
-    Frame.DROP: "drop",
-    Frame.THROW: "throw, toss, hurl",
-    Frame.GO: "go, drive, navigate, head, travel, proceed, come, go back, drive back",
-    Frame.PATROL: "patrol, make a round of, make rounds of",
-    Frame.GUIDE: "guide, lead, escort, accompany, show",
-    Frame.RETURN: "return, come home, go home, drive home, go back home",
-    Frame.WAIT: "wait, pause",
-    Frame.INSPECT: "inspect, check, examine, look at, have a look at",
-    Frame.PHOTO: "photograph, take a photo of, take a picture of, take photos of, take a photo",
-    Frame.RECORD: "record, film, record a video of, take a video of, make a video of",
-    Frame.FIND: "find, locate, look for",
-    Frame.TURN: "turn, switch, toggle, power",
-    Frame.POUR: "pour",
-    Frame.FILL: "fill, fillliquid, fill up",
-    Frame.HEAT: "heat, heat up, warm, warm up",
-    Frame.LEAVE: "leave",
-    Frame.OPEN: "open",
-    Frame.CLOSE: "close, shut",
-    Frame.SLICE: "slice, cut, chop",
-    Frame.BREAK: "break, smash, shatter",
-    Frame.COOK: "cook",
-    Frame.CLEAN: "clean, wash, wipe",
-    Frame.DIRTY: "dirty, soil",
-    Frame.EMPTY: "empty",
-    Frame.USE_UP: "use up",
+_WORDINGS: dict[VerbFrame, str] = {
+    VerbFrame.DELIVER: "deliver, bring, carry, transport, hand over, take, move",
+    VerbFrame.FETCH: "fetch, get, collect, retrieve",
+    VerbFrame.PICK: "pick up, pick, grab, grasp, lift, pick it up",
+    VerbFrame.PUT: "put down, put, place, set down, set, insert, lay",
+    VerbFrame.DROP: "drop",
+    VerbFrame.THROW: "throw, toss, hurl",
+    VerbFrame.GO: "go, drive, navigate, head, travel, proceed, come, go back, drive back",
+    VerbFrame.PATROL: "patrol, make a round of, make rounds of",
+    VerbFrame.GUIDE: "guide, lead, escort, accompany, show",
+    VerbFrame.RETURN: "return, come home, go home, drive home, go back home",
+    VerbFrame.WAIT: "wait, pause",
+    VerbFrame.INSPECT: "inspect, check, examine, look at, have a look at",
+    VerbFrame.PHOTO: "photograph, take a photo of, take a picture of, take photos of, take a photo",
+    VerbFrame.RECORD: "record, film, record a video of, take a video of, make a video of",
+    VerbFrame.FIND: "find, locate, look for",
+    VerbFrame.TURN: "turn, switch, toggle, power",
+    VerbFrame.POUR: "pour",
+    VerbFrame.FILL: "fill, fillliquid, fill up",
+    VerbFrame.HEAT: "heat, heat up, warm, warm up",
+    VerbFrame.LEAVE: "leave",
+    VerbFrame.OPEN: "open",
+    VerbFrame.CLOSE: "close, shut",
+    VerbFrame.SLICE: "slice, cut, chop",
+    VerbFrame.BREAK: "break, smash, shatter",
+    VerbFrame.COOK: "cook",
+    VerbFrame.CLEAN: "clean, wash, wipe",
+    VerbFrame.DIRTY: "dirty, soil",
+    VerbFrame.EMPTY: "empty",
+    VerbFrame.USE_UP: "use up",
 }
 _STATES = {
     "on": "turn on, switch on, toggle on, power on, start, light, ignite, activate",
@@ -111,15 +111,15 @@ _STATES = {
 }
 
 
-def _verbs() -> Mapping[tuple[str, ...], Verb]:
+def _verbs() -> Mapping[tuple[str, ...], VerbWording]:
     found = {
-        tuple(wording.split()): Verb(frame)
+        tuple(wording.split()): VerbWording(frame)
         for frame, wordings in _WORDINGS.items()
         for wording in wordings.split(", ")
     }
     for state, wordings in _STATES.items():
         for wording in wordings.split(", "):
-            found[tuple(wording.split())] = Verb(Frame.TURN, state)
+            found[tuple(wording.split())] = VerbWording(VerbFrame.TURN, state)
     return MappingProxyType(found)
 
 
@@ -163,19 +163,19 @@ OPENINGS: tuple[tuple[str, ...], ...] = (
     ("make", "sure", "to"),
 )
 #: Frame words without authority: `pick it up`, `a video of`, `guide the visitor`.
-EXTRAS: Mapping[Frame, frozenset[str]] = MappingProxyType(
+EXTRAS: Mapping[VerbFrame, frozenset[str]] = MappingProxyType(
     {
-        Frame.PICK: frozenset({"up"}),
-        Frame.PUT: frozenset({"down", "back"}),
-        Frame.GO: frozenset({"back", "over"}),
-        Frame.RETURN: frozenset({"back"}),
-        Frame.LEAVE: _words("there running closed open on off unattended position"),
-        Frame.GUIDE: _words(
+        VerbFrame.PICK: frozenset({"up"}),
+        VerbFrame.PUT: frozenset({"down", "back"}),
+        VerbFrame.GO: frozenset({"back", "over"}),
+        VerbFrame.RETURN: frozenset({"back"}),
+        VerbFrame.LEAVE: _words("there running closed open on off unattended position"),
+        VerbFrame.GUIDE: _words(
             "visitor visitors guest guests patient patients person people me us them"
         ),
-        Frame.PHOTO: frozenset({"photo", "photos", "picture", "pictures", "image", "images"}),
-        Frame.RECORD: frozenset({"video", "footage"}),
-        Frame.DELIVER: frozenset({"over"}),
+        VerbFrame.PHOTO: frozenset({"photo", "photos", "picture", "pictures", "image", "images"}),
+        VerbFrame.RECORD: frozenset({"video", "footage"}),
+        VerbFrame.DELIVER: frozenset({"over"}),
     }
 )
 PRONOUNS = frozenset({"it", "them", "this", "that", "these", "those"})
@@ -210,7 +210,9 @@ MANNERS: Mapping[str, str] = MappingProxyType(
     }
 )
 #: Frames whose object is where they lead.
-TRAVEL = frozenset({Frame.GO, Frame.PATROL, Frame.GUIDE, Frame.RETURN, Frame.WAIT})
+TRAVEL = frozenset(
+    {VerbFrame.GO, VerbFrame.PATROL, VerbFrame.GUIDE, VerbFrame.RETURN, VerbFrame.WAIT}
+)
 #: Words for the place that a robot returns to.
 HOMES = frozenset({"base", "home"})
 #: What introduces a quantity that bounds from above, longest first, and the limit that it names.

@@ -14,14 +14,14 @@ from itertools import pairwise
 
 from msgspec import Struct
 
-from authguard_r.authoring.drafting.tokens import Kind, Token, runs
+from authguard_r.authoring.drafting.tokens import SentenceToken, TokenKind, runs
 from authguard_r.site.model import Site
 
 #: Longest name, in tokens.
 _LONGEST = 8
 _WORD = re.compile(r"[0-9]+|[A-Z]+(?![a-z])|[^\W\d_][^\W\d_A-Z]*")
 _PLURAL = re.compile(r"(?<=\w)s(?= [0-9]+$)", re.IGNORECASE)
-_NAMING = frozenset({Kind.WORD, Kind.NUMBER})
+_NAMING = frozenset({TokenKind.WORD, TokenKind.NUMBER})
 
 
 class Sort(StrEnum):
@@ -39,7 +39,7 @@ class Ref(Struct, frozen=True, order=True):
     id: str
 
 
-class Match(Struct, frozen=True):
+class PhraseMatch(Struct, frozen=True):
     """A phrase of the sentence that the site knows.
 
     Args:
@@ -64,7 +64,7 @@ class Lexicon(Struct, frozen=True):
     names: dict[Key, tuple[Ref, ...]]
     heads: dict[Key, tuple[Ref, ...]]
 
-    def match(self, tokens: tuple[Token, ...], at: int) -> Match | None:
+    def match(self, tokens: tuple[SentenceToken, ...], at: int) -> PhraseMatch | None:
         """Return the longest phrase from a token on that the site knows, or None."""
         for size in range(min(_LONGEST, len(tokens) - at), 0, -1):
             span = tokens[at : at + size]
@@ -74,16 +74,16 @@ class Lexicon(Struct, frozen=True):
             for key in _spellings(text):
                 for table, exact in ((self.names, True), (self.heads, False)):
                     if key in table:
-                        return Match(text, size, table[key], exact)
+                        return PhraseMatch(text, size, table[key], exact)
         return None
 
-    def numbered(self, token: Token, last: str) -> Match | None:
+    def numbered(self, token: SentenceToken, last: str) -> PhraseMatch | None:
         """Return what a number means that goes on with the last name: `stations 101, 102`."""
-        stem = last.rpartition(" ")[0] if token.kind is Kind.NUMBER else ""
+        stem = last.rpartition(" ")[0] if token.kind is TokenKind.NUMBER else ""
         for said in (stem, stem.removesuffix("s")):
             refs = self.names.get(runs(f"{said} {token.low}"), ()) if stem else ()
             if refs:
-                return Match(f"{said} {token.low}", 1, refs, exact=True)
+                return PhraseMatch(f"{said} {token.low}", 1, refs, exact=True)
         return None
 
 
@@ -111,7 +111,7 @@ def read_lexicon(site: Site, *, reserved: Iterable[str]) -> Lexicon:
     )
 
 
-def _said(span: tuple[Token, ...]) -> str:
+def _said(span: tuple[SentenceToken, ...]) -> str:
     """Return tokens as they were said: with a space where one, or a joint, was."""
     parts = [span[0].text]
     for before, token in pairwise(span):

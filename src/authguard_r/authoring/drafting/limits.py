@@ -10,17 +10,17 @@ from __future__ import annotations
 from fractions import Fraction
 from typing import Any
 
-from authguard_r.authoring.drafting.asking import Asking
+from authguard_r.authoring.drafting.asking import DraftDialog
 from authguard_r.authoring.drafting.clauses import Clause
-from authguard_r.authoring.drafting.frames import Frame
+from authguard_r.authoring.drafting.frames import VerbFrame
 from authguard_r.authoring.drafting.measures import (
-    Dimension,
     Measure,
+    QuantityDimension,
     instants,
     read_daytime,
     read_measure_text,
 )
-from authguard_r.authoring.drafting.profile import Profile, bounds, ceiling, measure
+from authguard_r.authoring.drafting.profile import DraftProfile, bounds, ceiling, measure
 from authguard_r.authoring.drafting.resolve import field_of
 from authguard_r.authoring.drafting.tokens import tokenize
 from authguard_r.core.errors import MalformedError
@@ -29,10 +29,10 @@ from authguard_r.core.reasons import Reason
 from authguard_r.site.model import Parameter, Site
 
 _DIMENSIONS = {
-    "speed_mm_s": Dimension.SPEED,
-    "force_mn": Dimension.FORCE,
-    "duration_ms": Dimension.TIME,
-    "max_bytes": Dimension.BYTES,
+    "speed_mm_s": QuantityDimension.SPEED,
+    "force_mn": QuantityDimension.FORCE,
+    "duration_ms": QuantityDimension.TIME,
+    "max_bytes": QuantityDimension.BYTES,
 }
 _SPELLED = {
     "speed": ("limits.speed_mm_s", ("m/s", "km/h", "mm/s")),
@@ -41,24 +41,26 @@ _SPELLED = {
     "at": ("at", ("m/s", "km/h")),
 }
 _SLOTS = {
-    Dimension.SPEED: "speed",
-    Dimension.FORCE: "force",
-    Dimension.TIME: "duration",
-    Dimension.BYTES: "data.record",
-    Dimension.SHARE: "condition",
+    QuantityDimension.SPEED: "speed",
+    QuantityDimension.FORCE: "force",
+    QuantityDimension.TIME: "duration",
+    QuantityDimension.BYTES: "data.record",
+    QuantityDimension.SHARE: "condition",
 }
 Bounds = tuple[Any, Any]
 
 
-class Limits:
+class StepLimits:
     """Works out bounds for the steps of one sentence, and remembers which quantities they used."""
 
-    def __init__(self, site: Site, robot: str | None, profile: Profile, asking: Asking) -> None:
+    def __init__(
+        self, site: Site, robot: str | None, profile: DraftProfile, asking: DraftDialog
+    ) -> None:
         self._site = site
         self._robot = robot
         self._profile = profile
         self._asking = asking
-        self._used: set[tuple[int, Dimension]] = set()
+        self._used: set[tuple[int, QuantityDimension]] = set()
 
     def settle(self, clause: Clause, *, now_ms: int) -> str | None:
         """Ask for the unit of each bare number of a clause; return the instant one turns out to be.
@@ -124,7 +126,7 @@ class Limits:
                 found[str(name)] = given
         return found
 
-    def said(self, clause: Clause, dimension: Dimension) -> Measure | None:
+    def said(self, clause: Clause, dimension: QuantityDimension) -> Measure | None:
         """Return what the clause says of a dimension; from then on it counts as used."""
         found = clause.measures.get(dimension)
         if found is not None:
@@ -157,7 +159,7 @@ class Limits:
                 return None
             low = measure(usual[0])
             return (low.text if low.amount <= said.amount else said.text), said.text
-        if name == "speed_mm_s" and clause.frame is Frame.GUIDE:
+        if name == "speed_mm_s" and clause.frame is VerbFrame.GUIDE:
             usual = min(usual, (usual[0], self._profile.guide_speed), key=_upper)
         high = measure(usual[1])
         text = high.text if high.amount <= top else f"{top} {parameter.unit}"
@@ -176,7 +178,7 @@ class Limits:
         return None if answer is None else _whole(field, answer, said.dimension, top)
 
     def _duration(self, clause: Clause, parameter: Parameter) -> Bounds | None:
-        said = self.said(clause, Dimension.TIME)
+        said = self.said(clause, QuantityDimension.TIME)
         if said is None:
             if any(meant == "duration" for meant, _ in clause.bare):
                 return None
@@ -184,9 +186,9 @@ class Limits:
             answer = self._asking.ask(field, "How long, with its unit (such as `30 s`)?")
             if answer is None:
                 return None
-            said = _whole(field, answer, Dimension.TIME, None)
-            clause.measures[Dimension.TIME] = said
-            self._used.add((clause.number, Dimension.TIME))
+            said = _whole(field, answer, QuantityDimension.TIME, None)
+            clause.measures[QuantityDimension.TIME] = said
+            self._used.add((clause.number, QuantityDimension.TIME))
         high = self._possible(
             field_of(clause, "duration"), said, Fraction(parameter.high), parameter.unit
         )
@@ -211,7 +213,7 @@ class Limits:
         return (low.strip(), high.strip()) if parted else None
 
 
-def _whole(field: str, answer: str, dimension: Dimension, top: Fraction | None) -> Measure:
+def _whole(field: str, answer: str, dimension: QuantityDimension, top: Fraction | None) -> Measure:
     """Return the quantity that an answer spells.
 
     Raises:

@@ -13,11 +13,11 @@ from fractions import Fraction
 
 from msgspec import Struct
 
-from authguard_r.authoring.drafting.tokens import Kind, Token
+from authguard_r.authoring.drafting.tokens import SentenceToken, TokenKind
 from authguard_r.core.quantities import to_timestamp
 
 
-class Dimension(StrEnum):
+class QuantityDimension(StrEnum):
     """What a quantity measures; the value is the unit that the mission language counts in."""
 
     SPEED = "mm/s"
@@ -38,7 +38,7 @@ class Measure(Struct, frozen=True):
     """
 
     text: str
-    dimension: Dimension
+    dimension: QuantityDimension
     amount: Fraction
     size: int
 
@@ -61,24 +61,29 @@ class Daytime(Struct, frozen=True):
     utc: bool = False
 
 
-_UNITS: dict[str, tuple[str, Dimension, Fraction]] = {
+_UNITS: dict[str, tuple[str, QuantityDimension, Fraction]] = {
     word: (spelled, dimension, Fraction(factor))
     for words, spelled, dimension, factor in (
-        ("m/s meter/second meters/second metre/second metres/second", "m/s", Dimension.SPEED, 1000),
-        ("cm/s centimeters/second", "cm/s", Dimension.SPEED, 10),
-        ("mm/s millimeters/second", "mm/s", Dimension.SPEED, 1),
-        ("km/h kilometer/hour kilometers/hour", "km/h", Dimension.SPEED, Fraction(2500, 9)),
-        ("n newton newtons", "N", Dimension.FORCE, 1000),
-        ("mn millinewton millinewtons", "mN", Dimension.FORCE, 1),
-        ("ms millisecond milliseconds", "ms", Dimension.TIME, 1),
-        ("s sec secs second seconds", "s", Dimension.TIME, 1000),
-        ("min mins minute minutes", "min", Dimension.TIME, 60_000),
-        ("h hr hrs hour hours", "h", Dimension.TIME, 3_600_000),
-        ("% percent", "%", Dimension.SHARE, 10),
-        ("permille", "permille", Dimension.SHARE, 1),
-        ("b byte bytes", "byte", Dimension.BYTES, 1),
-        ("kb", "kB", Dimension.BYTES, 1000),
-        ("mb", "MB", Dimension.BYTES, 1_000_000),
+        (
+            "m/s meter/second meters/second metre/second metres/second",
+            "m/s",
+            QuantityDimension.SPEED,
+            1000,
+        ),
+        ("cm/s centimeters/second", "cm/s", QuantityDimension.SPEED, 10),
+        ("mm/s millimeters/second", "mm/s", QuantityDimension.SPEED, 1),
+        ("km/h kilometer/hour kilometers/hour", "km/h", QuantityDimension.SPEED, Fraction(2500, 9)),
+        ("n newton newtons", "N", QuantityDimension.FORCE, 1000),
+        ("mn millinewton millinewtons", "mN", QuantityDimension.FORCE, 1),
+        ("ms millisecond milliseconds", "ms", QuantityDimension.TIME, 1),
+        ("s sec secs second seconds", "s", QuantityDimension.TIME, 1000),
+        ("min mins minute minutes", "min", QuantityDimension.TIME, 60_000),
+        ("h hr hrs hour hours", "h", QuantityDimension.TIME, 3_600_000),
+        ("% percent", "%", QuantityDimension.SHARE, 10),
+        ("permille", "permille", QuantityDimension.SHARE, 1),
+        ("b byte bytes", "byte", QuantityDimension.BYTES, 1),
+        ("kb", "kB", QuantityDimension.BYTES, 1000),
+        ("mb", "MB", QuantityDimension.BYTES, 1_000_000),
     )
     for word in words.split()
 }
@@ -91,12 +96,12 @@ _TENS = {"twenty": 20, "thirty": 30, "forty": 40, "fifty": 50, "sixty": 60}
 _WHOLE_DAYS = {"today": 0, "tonight": 0, "tomorrow": 1}
 
 
-def read_number(tokens: tuple[Token, ...], at: int) -> tuple[str, int] | None:
+def read_number(tokens: tuple[SentenceToken, ...], at: int) -> tuple[str, int] | None:
     """Return a number in digits or words as digits, and its length in tokens; or None."""
     if at >= len(tokens):
         return None
     token = tokens[at]
-    if token.kind is Kind.NUMBER:
+    if token.kind is TokenKind.NUMBER:
         return token.text, 1
     if token.low in _ONES:
         return str(_ONES.index(token.low)), 1
@@ -108,7 +113,7 @@ def read_number(tokens: tuple[Token, ...], at: int) -> tuple[str, int] | None:
     return None
 
 
-def read_measure(tokens: tuple[Token, ...], at: int) -> Measure | None:
+def read_measure(tokens: tuple[SentenceToken, ...], at: int) -> Measure | None:
     """Return the quantity that starts at a token, or None when there is no number with a unit."""
     number = read_number(tokens, at)
     if number is None:
@@ -124,13 +129,13 @@ def read_measure(tokens: tuple[Token, ...], at: int) -> Measure | None:
     return None
 
 
-def read_measure_text(text: str, tokens: tuple[Token, ...]) -> Measure | None:
+def read_measure_text(text: str, tokens: tuple[SentenceToken, ...]) -> Measure | None:
     """Return the quantity that is the whole of a text, or None."""
     found = read_measure(tokens, 0)
     return found if found is not None and text and found.size == len(tokens) else None
 
 
-def read_daytime(tokens: tuple[Token, ...], at: int) -> Daytime | None:
+def read_daytime(tokens: tuple[SentenceToken, ...], at: int) -> Daytime | None:
     """Return the time of day that starts at a token, or None."""
     found = _named_time(tokens, at) or _spoken_time(tokens, at) or _clock_time(tokens, at)
     if found is None:
@@ -163,13 +168,13 @@ def instants(time: Daytime, *, now_ms: int) -> tuple[str, ...]:
     return tuple(str(to_timestamp(moment)) for moment in sorted(found) if moment > now_ms)
 
 
-def _named_time(tokens: tuple[Token, ...], at: int) -> Daytime | None:
+def _named_time(tokens: tuple[SentenceToken, ...], at: int) -> Daytime | None:
     low = tokens[at].low if at < len(tokens) else ""
     hours = {"noon": (12,), "midday": (12,), "midnight": (24,)}.get(low)
     return None if hours is None else Daytime(hours, 0, 1)
 
 
-def _spoken_time(tokens: tuple[Token, ...], at: int) -> Daytime | None:
+def _spoken_time(tokens: tuple[SentenceToken, ...], at: int) -> Daytime | None:
     """Read `half past two`, `quarter to three`, `ten past four`."""
     low = tokens[at].low if at < len(tokens) else ""
     first = {"half": ("30", 1), "quarter": ("15", 1)}.get(low) or read_number(tokens, at)
@@ -190,9 +195,9 @@ def _spoken_time(tokens: tuple[Token, ...], at: int) -> Daytime | None:
     return _half_day(tokens, at, Daytime((before, before + 12), 60 - minute, size))
 
 
-def _clock_time(tokens: tuple[Token, ...], at: int) -> Daytime | None:
+def _clock_time(tokens: tuple[SentenceToken, ...], at: int) -> Daytime | None:
     """Read `14:30`, `2:30 pm`, `2 pm`, `2 o'clock` and a bare `2`."""
-    if at < len(tokens) and tokens[at].kind is Kind.CLOCK:
+    if at < len(tokens) and tokens[at].kind is TokenKind.CLOCK:
         hour, minute = (int(part) for part in tokens[at].text.split(":"))
         size = 1
     else:
@@ -209,7 +214,7 @@ def _clock_time(tokens: tuple[Token, ...], at: int) -> Daytime | None:
     return _half_day(tokens, at, Daytime(hours, minute, size))
 
 
-def _half_day(tokens: tuple[Token, ...], at: int, time: Daytime) -> Daytime:
+def _half_day(tokens: tuple[SentenceToken, ...], at: int, time: Daytime) -> Daytime:
     """Take in a following `am` or `pm`."""
     after = [token.low for token in tokens[at + time.size : at + time.size + 4]]
     for words, late in (

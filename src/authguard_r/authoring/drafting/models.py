@@ -16,8 +16,8 @@ import msgspec
 from msgspec import Struct
 
 from authguard_r.authoring.drafting.answered import holds, printed
-from authguard_r.authoring.drafting.chat import AnthropicChat, Chat, OpenAIChat, Reach
-from authguard_r.authoring.drafting.proposal import Proposal, Question
+from authguard_r.authoring.drafting.chat import AnthropicChat, Chat, ModelAddress, OpenAIChat
+from authguard_r.authoring.drafting.proposal import DraftProposal, DraftQuestion
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.site.model import Site
@@ -61,7 +61,7 @@ class ModelProposer(Struct, frozen=True):
 
     def propose(
         self, sentence: str, site: Site, *, robot: str | None, settled: Mapping[str, str]
-    ) -> Proposal:
+    ) -> DraftProposal:
         """Return the model's draft, or its questions; an answer in any other form is refused.
 
         Raises:
@@ -80,14 +80,16 @@ class ModelProposer(Struct, frozen=True):
         if not isinstance(reply, dict):
             raise MalformedError("expected an object", where="reply")
         if set(reply) == {"questions"}:
-            questions = convert(reply["questions"], tuple[_Asked, ...], where="reply.questions")
+            questions = convert(
+                reply["questions"], tuple[_ModelQuestion, ...], where="reply.questions"
+            )
             if not questions:
                 raise MalformedError("expected a question or a draft", where="reply.questions")
-            asked = tuple(Question(q.field, q.question, q.candidates) for q in questions)
-            return Proposal({}, asked, self.chat.name)
+            asked = tuple(DraftQuestion(q.field, q.question, q.candidates) for q in questions)
+            return DraftProposal({}, asked, self.chat.name)
         self.check(reply)
         _require_given(reply, sentence=sentence, robot=robot, settled=settled)
-        return Proposal(printed(reply), (), self.chat.name)
+        return DraftProposal(printed(reply), (), self.chat.name)
 
 
 class FreeText(Struct, frozen=True):
@@ -165,7 +167,7 @@ class _ServerProposer(Struct, frozen=True, kw_only=True):
         total_s: seconds that the answer may take in all.
     """
 
-    speaks: ClassVar[Callable[[Reach], Chat]]
+    speaks: ClassVar[Callable[[ModelAddress], Chat]]
     base_url: str
     model: str
     schema: Mapping[str, Any]
@@ -178,9 +180,9 @@ class _ServerProposer(Struct, frozen=True, kw_only=True):
 
     def propose(
         self, sentence: str, site: Site, *, robot: str | None, settled: Mapping[str, str]
-    ) -> Proposal:
+    ) -> DraftProposal:
         """Return the model's draft or questions; see `ModelProposer.propose`."""
-        reach = Reach(
+        reach = ModelAddress(
             base_url=self.base_url,
             model=self.model,
             api_key_env=self.api_key_env,
@@ -196,16 +198,16 @@ class _ServerProposer(Struct, frozen=True, kw_only=True):
 class OpenAIProposer(_ServerProposer, frozen=True, kw_only=True):
     """A proposer behind any server that speaks the chat completions protocol."""
 
-    speaks: ClassVar[Callable[[Reach], Chat]] = OpenAIChat
+    speaks: ClassVar[Callable[[ModelAddress], Chat]] = OpenAIChat
 
 
 class AnthropicProposer(_ServerProposer, frozen=True, kw_only=True):
     """A proposer behind a server that speaks the Messages protocol."""
 
-    speaks: ClassVar[Callable[[Reach], Chat]] = AnthropicChat
+    speaks: ClassVar[Callable[[ModelAddress], Chat]] = AnthropicChat
 
 
-class _Asked(Struct, frozen=True, forbid_unknown_fields=True):
+class _ModelQuestion(Struct, frozen=True, forbid_unknown_fields=True):
     """A question as a model spells it."""
 
     field: str

@@ -12,11 +12,11 @@ from typing import Any
 import msgspec
 from msgspec import Struct
 
-from authguard_r.authoring.drafting.asking import Asking
+from authguard_r.authoring.drafting.asking import DraftDialog
 from authguard_r.authoring.drafting.clauses import Clause
 from authguard_r.authoring.drafting.frames import STAYS_OPEN
-from authguard_r.authoring.drafting.limits import Limits
-from authguard_r.authoring.drafting.profile import Profile
+from authguard_r.authoring.drafting.limits import StepLimits
+from authguard_r.authoring.drafting.profile import DraftProfile
 from authguard_r.authoring.drafting.resolve import Resolver, field_of
 from authguard_r.authoring.drafting.routes import shortest
 from authguard_r.core.identifiers import ActionType, ObjectId, RegionId, RobotId
@@ -27,7 +27,7 @@ NOTHING = "nothing"
 _PREPARES = frozenset({"fill", "open", "pick"})
 
 
-class Step(Struct, kw_only=True):
+class GrantStep(Struct, kw_only=True):
     """One grant in the making.
 
     Args:
@@ -69,7 +69,7 @@ class Step(Struct, kw_only=True):
     free: bool = False
 
 
-class Plan:
+class DraftPlan:
     """Where everything is while the clauses are worked through, and the steps so far.
 
     Args:
@@ -81,14 +81,19 @@ class Plan:
     """
 
     def __init__(
-        self, site: Site, robot: str | None, profile: Profile, asking: Asking, resolver: Resolver
+        self,
+        site: Site,
+        robot: str | None,
+        profile: DraftProfile,
+        asking: DraftDialog,
+        resolver: Resolver,
     ) -> None:
         self.site = site
         self.robot = robot
         self.profile = profile
         self.asking = asking
         self.resolver = resolver
-        self.steps: list[Step] = []
+        self.steps: list[GrantStep] = []
         self.at: str | None = None if robot is None else site.robots[RobotId(robot)].home
         self.holding: str | None = None
         self.places = {str(item): str(model.home) for item, model in site.objects.items()}
@@ -97,7 +102,7 @@ class Plan:
         self.filled: dict[str, str | None] = {}
         self.seen: dict[str, list[str]] = {}
         self.last: tuple[int, ...] = ()
-        self.limits = Limits(site, robot, profile, asking)
+        self.limits = StepLimits(site, robot, profile, asking)
         self._ways: list[int] = []
 
     def go(self, clause: Clause, region: str, *, implied: bool = True) -> None:
@@ -110,7 +115,7 @@ class Plan:
         way = self._way(clause, start, region)
         if way is None:
             return
-        step = Step(
+        step = GrantStep(
             type="navigate",
             source=start,
             destination=region,
@@ -158,16 +163,16 @@ class Plan:
         found = [shortest(self.site, start, home, avoid=avoid) for start in starts]
         ways = tuple(way for way in found if way is not None)
         if ways:
-            step = Step(type="navigate", source=ways[0][0], destination=home, ways=ways)
+            step = GrantStep(type="navigate", source=ways[0][0], destination=home, ways=ways)
             self.add(clause, step, free=True)
             where = ", ".join(way[0] for way in ways)
             self.asking.assume(f"go.{home}", f"from {where}", "a return starts where the robot is")
 
     def do(self, clause: Clause, kind: str, **details: Any) -> int:
         """Add a step where the robot stands; what is said after it comes after it."""
-        return self.add(clause, Step(type=kind, source=self.at, **details))
+        return self.add(clause, GrantStep(type=kind, source=self.at, **details))
 
-    def add(self, clause: Clause, step: Step, *, free: bool = False) -> int:
+    def add(self, clause: Clause, step: GrantStep, *, free: bool = False) -> int:
         """Add a step with its order, its bounds and its condition; return its index.
 
         Args:

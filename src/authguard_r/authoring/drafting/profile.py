@@ -25,7 +25,7 @@ CONSERVATIVE = "conservative"
 _Count = Annotated[int, Meta(ge=0, le=1000)]
 
 
-class Profile(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class DraftProfile(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One named set of defaults; the comments in the shipped file say what each is for."""
 
     place_max_age: str
@@ -49,7 +49,7 @@ class Profile(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     risk_policy: dict[str, Any]
 
 
-def read_profile(text: str | None = None, *, name: str = CONSERVATIVE) -> Profile:
+def read_profile(text: str | None = None, *, name: str = CONSERVATIVE) -> DraftProfile:
     """Return a named profile.
 
     Args:
@@ -63,7 +63,7 @@ def read_profile(text: str | None = None, *, name: str = CONSERVATIVE) -> Profil
     if text is None:
         text, where = files(__package__).joinpath(_FILE).read_text(encoding="utf-8"), _FILE
     plain = read_yaml(text, where=where)
-    profiles = convert(plain, dict[str, Profile], where=where)
+    profiles = convert(plain, dict[str, DraftProfile], where=where)
     if name not in profiles:
         raise MalformedError(f"expected one of {', '.join(sorted(profiles))}", where=where)
     return profiles[name]
@@ -81,7 +81,7 @@ def measure(text: str) -> Measure:
     return found
 
 
-def bounds(profile: Profile, parameter: str, *, careful: bool) -> tuple[str, str] | None:
+def bounds(profile: DraftProfile, parameter: str, *, careful: bool) -> tuple[str, str] | None:
     """Return the profile's bounds of a parameter, the tighter ones where care is asked for."""
     found = profile.limits.get(parameter)
     return profile.careful.get(parameter, found) if careful else found

@@ -16,7 +16,7 @@ from authguard_r.core.errors import ClarificationError
 from authguard_r.site.model import Site
 
 
-class Question(Struct, frozen=True):
+class DraftQuestion(Struct, frozen=True):
     """One thing that only a person can say.
 
     Args:
@@ -44,7 +44,7 @@ class Assumption(Struct, frozen=True):
     why: str
 
 
-class Proposal(Struct, frozen=True):
+class DraftProposal(Struct, frozen=True):
     """A draft, or questions; never both, and never authority.
 
     Args:
@@ -55,7 +55,7 @@ class Proposal(Struct, frozen=True):
     """
 
     draft: dict[str, Any]
-    questions: tuple[Question, ...]
+    questions: tuple[DraftQuestion, ...]
     proposer: str
     assumed: tuple[Assumption, ...] = ()
 
@@ -65,7 +65,7 @@ class Proposer(Protocol):
 
     def propose(
         self, sentence: str, site: Site, *, robot: str | None, settled: Mapping[str, str]
-    ) -> Proposal:
+    ) -> DraftProposal:
         """Return a draft for the sentence, or what must be asked first.
 
         Args:
@@ -81,7 +81,7 @@ class Proposer(Protocol):
         ...
 
 
-def clarification(questions: Sequence[Question]) -> ClarificationError:
+def clarification(questions: Sequence[DraftQuestion]) -> ClarificationError:
     """Return the questions as the one error that the command line and the compiler know.
 
     Args:

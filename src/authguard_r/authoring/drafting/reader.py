@@ -7,23 +7,22 @@ becomes a question, because a condition could hide in it.
 
 from __future__ import annotations
 
-from authguard_r.authoring.drafting import frames, terms
+from authguard_r.authoring.drafting import clauses, frames, terms
 from authguard_r.authoring.drafting.amounts import is_filler, take_amount, take_count, take_details
-from authguard_r.authoring.drafting.clauses import Clause, Condition, Phrase, Sentence, Way
 from authguard_r.authoring.drafting.cursor import Cursor
 from authguard_r.authoring.drafting.doors import read_door
-from authguard_r.authoring.drafting.frames import Frame
+from authguard_r.authoring.drafting.frames import VerbFrame
 from authguard_r.authoring.drafting.lexicon import Lexicon, Ref, Sort
-from authguard_r.authoring.drafting.tokens import Token
-from authguard_r.authoring.drafting.unparsed_words import Strays, settle_clauses
+from authguard_r.authoring.drafting.tokens import Tokens
+from authguard_r.authoring.drafting.unparsed_words import UnparsedWords, settle_clauses
 from authguard_r.authoring.drafting.verbs import VerbPhrase, ends, leads, read_gerund, read_verb
 
 _IMPLIED = frozenset({"in", "inside", "into"})
 
 
 def read_sentence(
-    text: str, tokens: tuple[Token, ...], lexicon: Lexicon, *, liquids: frozenset[str]
-) -> Sentence:
+    text: str, tokens: Tokens, lexicon: Lexicon, *, liquids: frozenset[str]
+) -> clauses.Sentence:
     """Return what the sentence says.
 
     Args:
@@ -32,27 +31,27 @@ def read_sentence(
         lexicon: the site's names.
         liquids: the liquids that the profile knows.
     """
-    reader = _Reader(text, tokens, lexicon, liquids)
+    reader = _SentenceReader(text, tokens, lexicon, liquids)
     reader.read()
     return reader.said
 
 
-class _Reader:
+class _SentenceReader:
     """The pass: where it stands, and what it has understood so far."""
 
     def __init__(
-        self, text: str, tokens: tuple[Token, ...], lexicon: Lexicon, liquids: frozenset[str]
+        self, text: str, tokens: Tokens, lexicon: Lexicon, liquids: frozenset[str]
     ) -> None:
-        self.said = Sentence(text)
+        self.said = clauses.Sentence(text)
         self._here = Cursor(tokens)
         self._lexicon = lexicon
         self._liquids = liquids
-        self._clause: Clause | None = None
+        self._clause: clauses.Clause | None = None
         self._fresh = True  # a clause or the next item of a list may begin here
         self._role, self._preposition = "object", ""
-        self._waiting: Condition | None = None
+        self._waiting: clauses.BatteryCondition | None = None
         self._last_name = ""
-        self._strays = Strays(self.said)
+        self._strays = UnparsedWords(self.said)
         self._preposition_at = -1
         self._behind_noun = -1  # the token right behind a noun: no article stands there
 
@@ -106,7 +105,7 @@ class _Reader:
         if not self._preposition:
             return
         if self._preposition in _IMPLIED and self._clause is not None:
-            self._add(Way.INSIDE, self._preposition)
+            self._add(clauses.PhraseWay.INSIDE, self._preposition)
         elif self._preposition not in frames.UNSETTLED:
             at, role = self._preposition_at, frames.ROLES[self._preposition]
             self._strays.dangling(at, at + len(self._preposition), self._clause, role)
@@ -172,11 +171,11 @@ class _Reader:
         self._open(found)
         return True
 
-    def _open(self, found: VerbPhrase) -> Clause:
+    def _open(self, found: VerbPhrase) -> clauses.Clause:
         """Begin a clause; one that is said last and done first goes before the one before it."""
         said, verb = self.said.clauses, found.verb
         earlier = self._clause is not None and not self._fresh
-        clause = Clause(len(said) + 1, verb.frame, found.wording, earlier=earlier)
+        clause = clauses.Clause(len(said) + 1, verb.frame, found.wording, earlier=earlier)
         clause.state += [verb.state] if verb.state else []
         clause.condition, self._waiting = self._waiting, None
         place = said.index(self._clause) if earlier and self._clause in said else len(said)
@@ -187,7 +186,7 @@ class _Reader:
     def _particle(self) -> bool:
         """`turn it on`, `on and off`: the part of the verb that comes after its object."""
         clause, word = self._clause, self._here.low()
-        if clause is None or clause.frame is not Frame.TURN or word not in {"on", "off"}:
+        if clause is None or clause.frame is not VerbFrame.TURN or word not in {"on", "off"}:
             return False
         named = self._here.at + 1 < len(self._here.tokens) and self._next_is_phrase()
         settled = "object" in clause.roles or (bool(clause.state) and not self._fresh)
@@ -225,14 +224,14 @@ class _Reader:
     def _door(self) -> bool:
         """`the door of the pharmacy`, `the pharmacy door`: a door by what it leads to."""
         clause = self._clause
-        if clause is None or clause.frame not in {Frame.OPEN, Frame.CLOSE}:
+        if clause is None or clause.frame not in {VerbFrame.OPEN, VerbFrame.CLOSE}:
             return False
         found = read_door(self._here, self._lexicon)
         if found is None:
             return False
         first, last = self._here.span(found.size)
         self._here.at += found.size
-        self._add(Way.DOOR, self.said.text[first:last], sides=found.sides)
+        self._add(clauses.PhraseWay.DOOR, self.said.text[first:last], sides=found.sides)
         return True
 
     def _name(self) -> bool:
@@ -242,7 +241,7 @@ class _Reader:
         if self._clause is None:
             return False
         self._here.at += match.size
-        self._add(Way.NAMED, match.text, match.refs, exact=match.exact)
+        self._add(clauses.PhraseWay.NAMED, match.text, match.refs, exact=match.exact)
         self._last_name = match.text
         self._skip_part()
         self._behind_noun = self._here.at
@@ -255,13 +254,13 @@ class _Reader:
         match = self._lexicon.numbered(self._here.tokens[self._here.at], self._last_name)
         if match is not None:
             self._here.at += 1
-            self._add(Way.NAMED, match.text, match.refs)
+            self._add(clauses.PhraseWay.NAMED, match.text, match.refs)
         return match is not None
 
     def _skip_part(self) -> None:
         """`the microwave door`: the part of a thing is the thing, when it is opened or closed."""
         clause = self._clause
-        if clause is not None and clause.frame in {Frame.OPEN, Frame.CLOSE}:
+        if clause is not None and clause.frame in {VerbFrame.OPEN, VerbFrame.CLOSE}:
             self._here.at += self._here.low() in frames.PARTS
 
     def _pronoun(self) -> bool:
@@ -269,13 +268,13 @@ class _Reader:
             return False
         word = self._here.low()
         if word in frames.PRONOUNS:
-            way = Way.PRONOUN
-        elif word in frames.PARTS and self._clause.frame in {Frame.OPEN, Frame.CLOSE}:
-            way = Way.PART
+            way = clauses.PhraseWay.PRONOUN
+        elif word in frames.PARTS and self._clause.frame in {VerbFrame.OPEN, VerbFrame.CLOSE}:
+            way = clauses.PhraseWay.PART
         else:
             return False
         self._here.at += 1
-        if way is Way.PART and self._here.low() == "of":  # `the door of the fridge`
+        if way is clauses.PhraseWay.PART and self._here.low() == "of":  # `the door of the fridge`
             self._here.at += 1
         else:
             self._add(way, word)
@@ -283,7 +282,7 @@ class _Reader:
 
     def _add(
         self,
-        way: Way,
+        way: clauses.PhraseWay,
         text: str,
         refs: tuple[Ref, ...] = (),
         *,
@@ -299,7 +298,9 @@ class _Reader:
             clause.extras.add(self._preposition)
         elif not self._fresh:
             self._role = "object"
-        phrase = Phrase(text, way, len(self.said.phrases), clause.number, refs, exact, sides)
+        phrase = clauses.NounPhrase(
+            text, way, len(self.said.phrases), clause.number, refs, exact, sides
+        )
         self._strays.phrase(phrase.number)
         self._behind_noun = self._here.at
         clause.roles.setdefault(self._role, []).append(phrase)
@@ -317,8 +318,8 @@ class _Reader:
         elif clause is not None and self._is_extra(clause, word):
             clause.extras.add(word)
             self._preposition = ""
-            self._behind_noun = self._here.at + (clause.frame is Frame.GUIDE)
-        elif clause is not None and clause.frame is Frame.RETURN and word in frames.HOMES:
+            self._behind_noun = self._here.at + (clause.frame is VerbFrame.GUIDE)
+        elif clause is not None and clause.frame is VerbFrame.RETURN and word in frames.HOMES:
             clause.extras.add("home")
             self._preposition = ""
             self._behind_noun = self._here.at + 1
@@ -327,7 +328,7 @@ class _Reader:
         self._here.at += 1
         return True
 
-    def _is_extra(self, clause: Clause, word: str) -> bool:
+    def _is_extra(self, clause: clauses.Clause, word: str) -> bool:
         """True for a word of the frame itself; `leave it on the desk` is no `leave it on`."""
         if word not in frames.EXTRAS.get(clause.frame, ()):
             return False
@@ -345,8 +346,8 @@ class _Reader:
             self._clause.careful = True
         return True
 
-    def _takes_liquid(self, clause: Clause) -> bool:
-        return clause.frame in {Frame.POUR, Frame.FILL} and clause.liquid is None
+    def _takes_liquid(self, clause: clauses.Clause) -> bool:
+        return clause.frame in {VerbFrame.POUR, VerbFrame.FILL} and clause.liquid is None
 
     def _prepositional(self) -> bool:
         taken = bool(self._preposition) and not self._strays.holds(self._preposition_at)

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from authguard_r.authoring.drafting.asking import Asking
-from authguard_r.authoring.drafting.clauses import Clause, Phrase, Sentence, Way
+from authguard_r.authoring.drafting.asking import DraftDialog
+from authguard_r.authoring.drafting.clauses import Clause, NounPhrase, PhraseWay, Sentence
 from authguard_r.authoring.drafting.doors import doors, doors_at, passages
 from authguard_r.authoring.drafting.frames import UNSETTLED
 from authguard_r.authoring.drafting.lexicon import Ref, Sort
-from authguard_r.authoring.drafting.profile import Profile
+from authguard_r.authoring.drafting.profile import DraftProfile
 from authguard_r.authoring.drafting.restraint import limits
 from authguard_r.authoring.drafting.unparsed_words import (
     CONDITION,
@@ -22,7 +22,7 @@ from authguard_r.authoring.drafting.unparsed_words import (
     slot_of_stray,
     words_of,
 )
-from authguard_r.authoring.drafting.unresolved_modifiers import Leftovers
+from authguard_r.authoring.drafting.unresolved_modifiers import UnresolvedModifiers
 from authguard_r.site.model import Site
 
 OBJECTS = (Sort.OBJECT,)
@@ -44,7 +44,9 @@ def not_understood(words: Iterable[str]) -> str:
 class Resolver:
     """Resolves the phrases of one sentence at one site."""
 
-    def __init__(self, site: Site, sentence: Sentence, profile: Profile, asking: Asking) -> None:
+    def __init__(
+        self, site: Site, sentence: Sentence, profile: DraftProfile, asking: DraftDialog
+    ) -> None:
         self._site = site
         self._sentence = sentence
         self._profile = profile
@@ -52,7 +54,7 @@ class Resolver:
         self._meant: dict[int, Ref] = {}
         self._read: set[tuple[int, str]] = set()
         self._explained: set[int] = set()
-        self._leftovers = Leftovers(asking)
+        self._leftovers = UnresolvedModifiers(asking)
 
     def one(
         self, clause: Clause, role: str, slot: str, sorts: tuple[Sort, ...], *, able: str = ""
@@ -90,7 +92,13 @@ class Resolver:
         return [ref for ref in found if ref is not None]
 
     def thing(
-        self, clause: Clause, phrase: Phrase, slot: str, sorts: tuple[Sort, ...], *, able: str = ""
+        self,
+        clause: Clause,
+        phrase: NounPhrase,
+        slot: str,
+        sorts: tuple[Sort, ...],
+        *,
+        able: str = "",
     ) -> Ref | None:
         """Return what one phrase means, or None once it is asked about."""
         options = self._options(phrase, sorts, able=able)
@@ -99,7 +107,7 @@ class Resolver:
         words = self._words_at(phrase)
         if len(options) == 1 and not words:
             self._meant[phrase.number] = options[0]
-            if phrase.way is not Way.NAMED or not phrase.exact:
+            if phrase.way is not PhraseWay.NAMED or not phrase.exact:
                 why = f"nothing else that `{phrase.text}` can mean here"
                 self._asking.assume(field_of(clause, slot), options[0].id, why)
             return options[0]
@@ -114,7 +122,7 @@ class Resolver:
             self._meant[phrase.number] = found
         return found
 
-    def _words_at(self, phrase: Phrase) -> tuple[str, ...]:
+    def _words_at(self, phrase: NounPhrase) -> tuple[str, ...]:
         """Return words at a phrase that nothing explains; the question about it is theirs too."""
         found = []
         for number, stray in enumerate(self._sentence.unknown):
@@ -135,7 +143,7 @@ class Resolver:
                 places += [side for side in door.between if ref.id in door.between]
         return tuple(dict.fromkeys((*options, *(Ref(Sort.REGION, place) for place in places))))
 
-    def _ask_door(self, clause: Clause, phrase: Phrase, slot: str) -> Ref | None:
+    def _ask_door(self, clause: Clause, phrase: NounPhrase, slot: str) -> Ref | None:
         """Ask which door is meant; a passage that is no thing of the site cannot be opened."""
         known = doors(self._site)
         if known:
@@ -151,7 +159,7 @@ class Resolver:
             )
         return None
 
-    def read(self, clause: Clause, role: str) -> list[Phrase]:
+    def read(self, clause: Clause, role: str) -> list[NounPhrase]:
         """Return the phrases in a role; from then on they count as used."""
         self._read.add((clause.number, role))
         return clause.roles.get(role, [])
@@ -191,20 +199,20 @@ class Resolver:
         self._leftovers.ask()
 
     def _options(
-        self, phrase: Phrase, sorts: tuple[Sort, ...], *, able: str = ""
+        self, phrase: NounPhrase, sorts: tuple[Sort, ...], *, able: str = ""
     ) -> tuple[Ref, ...] | None:
         """Return what a phrase can mean; None while another open question decides it."""
         if phrase.number in self._meant and self._meant[phrase.number].sort in sorts:
             return (self._meant[phrase.number],)
-        if phrase.way is Way.DOOR:
+        if phrase.way is PhraseWay.DOOR:
             return doors_at(self._site, phrase.sides)
-        if phrase.way is Way.NAMED:
+        if phrase.way is PhraseWay.NAMED:
             return tuple(ref for ref in phrase.refs if ref.sort in sorts)
-        if phrase.way is not Way.PRONOUN:
+        if phrase.way is not PhraseWay.PRONOUN:
             able = "open"
         found: list[Ref] = []
         for other in self._sentence.phrases[: phrase.number]:
-            if other.clause == phrase.clause or other.way is not Way.NAMED:
+            if other.clause == phrase.clause or other.way is not PhraseWay.NAMED:
                 continue
             meant = self._meant.get(other.number)
             options = (meant,) if meant is not None else other.refs

@@ -14,13 +14,13 @@ from msgspec import Struct
 
 from authguard_r.authoring.drafting import frames
 from authguard_r.authoring.drafting.acts import act
-from authguard_r.authoring.drafting.asking import Asking
+from authguard_r.authoring.drafting.asking import DraftDialog
 from authguard_r.authoring.drafting.clauses import Clause, Sentence
 from authguard_r.authoring.drafting.compose import Composer
 from authguard_r.authoring.drafting.lexicon import read_lexicon
-from authguard_r.authoring.drafting.plan import Plan, Step
-from authguard_r.authoring.drafting.profile import Profile
-from authguard_r.authoring.drafting.proposal import Proposal
+from authguard_r.authoring.drafting.plan import DraftPlan, GrantStep
+from authguard_r.authoring.drafting.profile import DraftProfile
+from authguard_r.authoring.drafting.proposal import DraftProposal
 from authguard_r.authoring.drafting.reader import read_sentence
 from authguard_r.authoring.drafting.resolve import Resolver, field_of
 from authguard_r.authoring.drafting.tokens import tokenize
@@ -45,12 +45,12 @@ class TemplateProposer(Struct, frozen=True):
             it and nothing else depends on it.
     """
 
-    profile: Profile
+    profile: DraftProfile
     now_ms: int
 
     def propose(
         self, sentence: str, site: Site, *, robot: str | None, settled: Mapping[str, str]
-    ) -> Proposal:
+    ) -> DraftProposal:
         """Return the draft that the sentence means here, or every question that it leaves open.
 
         Raises:
@@ -64,7 +64,7 @@ class TemplateProposer(Struct, frozen=True):
             lexicon,
             liquids=frozenset(self.profile.liquids),
         )
-        asking = Asking(settled)
+        asking = DraftDialog(settled)
         steps, named = self._plan(said, site, robot, asking)
         window = window_of(said, asking, now_ms=self.now_ms)
         issuer = asking.ask("issuer", "Who signs this mission?")
@@ -79,15 +79,15 @@ class TemplateProposer(Struct, frozen=True):
             )
         asking.require_used()
         questions = tuple(sorted(asking.questions, key=lambda asked: asked.field in _MISSION_WIDE))
-        return Proposal({} if questions else draft, questions, NAME, tuple(asking.assumed))
+        return DraftProposal({} if questions else draft, questions, NAME, tuple(asking.assumed))
 
     def _plan(
-        self, said: Sentence, site: Site, robot: str | None, asking: Asking
-    ) -> tuple[list[Step], str | None]:
+        self, said: Sentence, site: Site, robot: str | None, asking: DraftDialog
+    ) -> tuple[list[GrantStep], str | None]:
         """Return the steps and the robot; both empty-handed where something is open."""
         resolver = Resolver(site, said, self.profile, asking)
         named = _robot(said, site, robot, asking)
-        plan = Plan(site, named, self.profile, asking, resolver)
+        plan = DraftPlan(site, named, self.profile, asking, resolver)
         for clause in said.clauses:
             self._clause(plan, clause, said)
         if len(plan.steps) > MAX_STEPS:
@@ -98,7 +98,7 @@ class TemplateProposer(Struct, frozen=True):
         _looks(plan, self.profile)
         return plan.steps, named
 
-    def _clause(self, plan: Plan, clause: Clause, said: Sentence) -> None:
+    def _clause(self, plan: DraftPlan, clause: Clause, said: Sentence) -> None:
         begin = plan.limits.settle(clause, now_ms=self.now_ms)
         if begin is not None and (said.begin is not None or said.start is not None):
             question = f"`{begin}` is a second begin: say one of them only"
@@ -115,7 +115,7 @@ class TemplateProposer(Struct, frozen=True):
         for right in sorted(clause.rights) if clause.frame not in _LOOKING else ():
             plan.resolver.unknown(clause, f"data.{right}", right)
 
-    def _mission(self, said: Sentence, steps: list[Step], asking: Asking) -> str:
+    def _mission(self, said: Sentence, steps: list[GrantStep], asking: DraftDialog) -> str:
         """Return a mission id: what it is about and when it was drafted."""
         given = asking.answer("mission")
         if given is not None:
@@ -134,10 +134,10 @@ class TemplateProposer(Struct, frozen=True):
 
 #: What every sentence leaves open is asked after what this one does.
 _MISSION_WIDE = frozenset({"issuer", "robot", "window"})
-_LOOKING = frozenset({frames.Frame.INSPECT, frames.Frame.PHOTO, frames.Frame.RECORD})
+_LOOKING = frozenset({frames.VerbFrame.INSPECT, frames.VerbFrame.PHOTO, frames.VerbFrame.RECORD})
 
 
-def _robot(said: Sentence, site: Site, given: str | None, asking: Asking) -> str | None:
+def _robot(said: Sentence, site: Site, given: str | None, asking: DraftDialog) -> str | None:
     """Return who is meant: answered, given, named, or the only one there is."""
     answer = asking.answer("robot") or given
     if answer is not None:
@@ -159,13 +159,13 @@ def _robot(said: Sentence, site: Site, given: str | None, asking: Asking) -> str
     return asking.ask("robot", "Which robot is meant?", named or sorted(site.robots))
 
 
-def _looks(plan: Plan, profile: Profile) -> None:
+def _looks(plan: DraftPlan, profile: DraftProfile) -> None:
     """Let the robot look for the things that the sentence names, where they are."""
     if plan.robot is None or not plan.able("find"):
         return
     for item, places in plan.seen.items():
         robot = plan.site.robots[RobotId(plan.robot)]
         where = tuple(dict.fromkeys((*places, *((str(robot.home),) if not places else ()))))
-        step = Step(type="find", object=item, implied=True, looks=where, repeat=profile.looks)
+        step = GrantStep(type="find", object=item, implied=True, looks=where, repeat=profile.looks)
         plan.steps.append(step)
         plan.asking.assume(f"find.{item}", f"{profile.looks} times", "named things may be sought")

@@ -8,15 +8,15 @@ so becomes a question.
 from __future__ import annotations
 
 from authguard_r.authoring.drafting import frames
-from authguard_r.authoring.drafting.clauses import Clause, Condition, Sentence
+from authguard_r.authoring.drafting.clauses import BatteryCondition, Clause, Sentence
 from authguard_r.authoring.drafting.cursor import Cursor
 from authguard_r.authoring.drafting.measures import (
-    Dimension,
+    QuantityDimension,
     read_daytime,
     read_measure,
     read_number,
 )
-from authguard_r.authoring.drafting.tokens import Kind
+from authguard_r.authoring.drafting.tokens import TokenKind
 
 _DEADLINES = (("no", "later", "than"), ("by",), ("before",), ("until",), ("till",))
 _WITHIN = (("in", "the", "next"), ("for", "the", "next"), ("within", "the", "next"), ("within",))
@@ -41,14 +41,14 @@ def take_end(here: Cursor, said: Sentence) -> bool:
         return False
     size = here.first(_WITHIN)
     length = read_measure(here.tokens, here.at + size) if size else None
-    if length is not None and length.dimension is Dimension.TIME:
+    if length is not None and length.dimension is QuantityDimension.TIME:
         said.length, here.at = length, here.at + size + length.size
         return True
     size = here.first(_DEADLINES)
     place = here.at + size
     if not size or place >= len(here.tokens):
         return False
-    if here.tokens[place].kind is Kind.INSTANT:
+    if here.tokens[place].kind is TokenKind.INSTANT:
         said.expiry, here.at = here.tokens[place].text, place + 1
         return True
     time = read_daytime(here.tokens, place)
@@ -70,7 +70,7 @@ def take_start(here: Cursor, said: Sentence) -> bool:
     return True
 
 
-def take_condition(here: Cursor, said: Sentence) -> Condition | None:
+def take_condition(here: Cursor, said: Sentence) -> BatteryCondition | None:
     """Take `when the battery is low` or `if the battery is below 20 %`; None takes nothing."""
     size = here.first(_WHEN)
     end = _behind_fill(here, size)
@@ -82,7 +82,7 @@ def take_condition(here: Cursor, said: Sentence) -> Condition | None:
     comparison, permille, end = found
     first, last = here.span(end)
     here.at += end
-    return Condition(said.text[first:last], comparison, permille)
+    return BatteryCondition(said.text[first:last], comparison, permille)
 
 
 def take_right(here: Cursor, clause: Clause) -> bool:
@@ -126,7 +126,7 @@ def _bound(here: Cursor, offset: int) -> tuple[str, int | None, int] | None:
     for words, side in _SIDES:
         if here.starts(words, offset):
             share = read_measure(here.tokens, here.at + offset + len(words))
-            if share is None or share.dimension is not Dimension.SHARE:
+            if share is None or share.dimension is not QuantityDimension.SHARE:
                 return None
             if share.amount.denominator != 1:
                 return None

@@ -20,7 +20,7 @@ from authguard_r.core.reasons import Reason
 MAX_SENTENCE = 2000
 
 
-class Kind(StrEnum):
+class TokenKind(StrEnum):
     """What a token is."""
 
     WORD = "word"
@@ -30,7 +30,7 @@ class Kind(StrEnum):
     MARK = "mark"
 
 
-class Token(Struct, frozen=True):
+class SentenceToken(Struct, frozen=True):
     """One piece of the sentence.
 
     Args:
@@ -40,10 +40,14 @@ class Token(Struct, frozen=True):
         at: its place in the sentence, in characters.
     """
 
-    kind: Kind
+    kind: TokenKind
     text: str
     low: str
     at: int
+
+
+#: A sentence.
+Tokens = tuple[SentenceToken, ...]
 
 
 _TOKEN = re.compile(
@@ -61,7 +65,7 @@ _JOINTS = frozenset("-_")
 _RUN = re.compile(r"[0-9]+|[^\W\d_]+")
 
 
-def tokenize(sentence: str) -> tuple[Token, ...]:
+def tokenize(sentence: str) -> tuple[SentenceToken, ...]:
     """Return the tokens of a sentence.
 
     Raises:
@@ -77,7 +81,9 @@ def tokenize(sentence: str) -> tuple[Token, ...]:
         raise MalformedError("expected a sentence", where="sentence")
     _require_text(sentence)
     found = [
-        Token(Kind(match.lastgroup or ""), match.group(), match.group().lower(), match.start())
+        SentenceToken(
+            TokenKind(match.lastgroup or ""), match.group(), match.group().lower(), match.start()
+        )
         for match in _TOKEN.finditer(sentence)
     ]
     return tuple(
@@ -113,7 +119,7 @@ def _require_text(sentence: str) -> None:
         raise MalformedError("expected text in normalization form C", where="sentence")
 
 
-def _joins(found: list[Token], number: int) -> bool:
+def _joins(found: list[SentenceToken], number: int) -> bool:
     """True when the mark stands between two tokens without a space on either side."""
     if number in {0, len(found) - 1}:
         return False
@@ -121,8 +127,8 @@ def _joins(found: list[Token], number: int) -> bool:
     glued = before.at + len(before.text) == mark.at and mark.at + 1 == after.at
     return (
         glued
-        and Kind.WORD in {before.kind, after.kind}
-        and Kind.MARK
+        and TokenKind.WORD in {before.kind, after.kind}
+        and TokenKind.MARK
         not in {
             before.kind,
             after.kind,

@@ -10,10 +10,10 @@ from __future__ import annotations
 import msgspec
 
 from authguard_r.authoring.drafting import frames
-from authguard_r.authoring.drafting.clauses import Clause, Sentence, Stray
-from authguard_r.authoring.drafting.frames import Frame
+from authguard_r.authoring.drafting.clauses import Clause, Sentence, UnparsedWord
+from authguard_r.authoring.drafting.frames import VerbFrame
 from authguard_r.authoring.drafting.restraint import limits
-from authguard_r.authoring.drafting.tokens import Token
+from authguard_r.authoring.drafting.tokens import SentenceToken
 
 CONDITION = "condition"
 _MANNER = "manner"
@@ -21,21 +21,21 @@ _SLOTS = {"object": "object", "to": "destination", "from": "source", "with": "ob
 _ENDS = frozenset(".!?")
 
 
-def slot_of_stray(stray: Stray, frame: Frame) -> str:
+def slot_of_stray(stray: UnparsedWord, frame: VerbFrame) -> str:
     """Return the slot that words could change in a frame; a manner of going is a speed."""
     if stray.slot == _MANNER:
         return "speed" if frame in frames.TRAVEL else "force"
     return stray.slot or slot_of(stray.role, frame)
 
 
-def slot_of(role: str, frame: Frame) -> str:
+def slot_of(role: str, frame: VerbFrame) -> str:
     """Return the slot that a role has in a frame: what one goes to is a destination."""
     if role == "object" and frame in frames.TRAVEL:
         return "destination"
     return _SLOTS.get(role, "route")
 
 
-class Strays:
+class UnparsedWords:
     """Collects the runs of one sentence.
 
     Args:
@@ -45,10 +45,10 @@ class Strays:
     def __init__(self, said: Sentence) -> None:
         self._said = said
         self._limited = False
-        self._waiting: list[Stray] = []
+        self._waiting: list[UnparsedWord] = []
 
     def add(
-        self, token: Token, clause: Clause | None, *, role: str, under: int, label: str
+        self, token: SentenceToken, clause: Clause | None, *, role: str, under: int, label: str
     ) -> None:
         """Keep one word.
 
@@ -71,7 +71,7 @@ class Strays:
                 run.end, run.limits = end, run.limits or self._limited
                 run.phrase = None  # one word behind a noun may be its label; more say something
                 return
-        stray = Stray(token.at, end, number, role or "object", slot, self._limited, under)
+        stray = UnparsedWord(token.at, end, number, role or "object", slot, self._limited, under)
         self._said.unknown.append(stray)
         phrases = [phrase for phrase in self._said.phrases if phrase.clause == number]
         if under < 0 and phrases:
@@ -85,7 +85,7 @@ class Strays:
             self.extend(at)
             return
         number = 0 if clause is None else clause.number
-        self._said.unknown.append(Stray(at, end, number, role, "", limits=False, under=at))
+        self._said.unknown.append(UnparsedWord(at, end, number, role, "", limits=False, under=at))
 
     def holds(self, at: int) -> bool:
         """True when words without a meaning follow the preposition that stands there."""
@@ -113,12 +113,12 @@ class Strays:
         self._waiting = []
         self._limited = self._limited and mark not in _ENDS
 
-    def _joins(self, run: Stray, token: Token) -> bool:
+    def _joins(self, run: UnparsedWord, token: SentenceToken) -> bool:
         between = self._said.text[run.end : token.at].lower().split()
         return all(word in frames.FILLERS for word in between)
 
 
-def words_of(stray: Stray, text: str) -> str:
+def words_of(stray: UnparsedWord, text: str) -> str:
     """Return the words of a run as they were said, on one line."""
     return " ".join(text[stray.begin : stray.end].split())
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from msgspec import Struct, field
 
-from authguard_r.authoring.drafting.asking import Asking
+from authguard_r.authoring.drafting.asking import DraftDialog
 from authguard_r.authoring.drafting.restraint import harmless
 
 LEAVE_OUT = "leave it out"
@@ -31,14 +31,14 @@ class _Slot(Struct):
     said: bool = True
 
 
-class Leftovers:
+class UnresolvedModifiers:
     """Collects what is left over, and asks about it once the steps are known.
 
     Args:
         asking: where the questions go.
     """
 
-    def __init__(self, asking: Asking) -> None:
+    def __init__(self, asking: DraftDialog) -> None:
         self._asking = asking
         self._slots: dict[str, _Slot] = {}
 

@@ -11,7 +11,7 @@ from msgspec import Struct
 
 from authguard_r.authoring.drafting import frames
 from authguard_r.authoring.drafting.cursor import Cursor
-from authguard_r.authoring.drafting.frames import Verb
+from authguard_r.authoring.drafting.frames import VerbWording
 
 _LEADING = frames.CAREFUL | {"please", "kindly"}
 _ENDS = frozenset({"", ".", "!", "?"})
@@ -26,7 +26,7 @@ class VerbPhrase(Struct, frozen=True):
         size: its length in tokens.
     """
 
-    verb: Verb
+    verb: VerbWording
     wording: str
     size: int
 

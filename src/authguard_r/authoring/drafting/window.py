@@ -5,9 +5,14 @@ from __future__ import annotations
 
 import re
 
-from authguard_r.authoring.drafting.asking import Asking
+from authguard_r.authoring.drafting.asking import DraftDialog
 from authguard_r.authoring.drafting.clauses import Sentence
-from authguard_r.authoring.drafting.measures import Daytime, Dimension, instants, read_measure_text
+from authguard_r.authoring.drafting.measures import (
+    Daytime,
+    QuantityDimension,
+    instants,
+    read_measure_text,
+)
 from authguard_r.authoring.drafting.tokens import tokenize
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Timestamp
@@ -17,7 +22,7 @@ from authguard_r.core.reasons import Reason
 _INSTANT = re.compile(r"\A[0-9]{4}(-[0-9]{2}){2}T([0-9]{2}:){2}[0-9]{2}Z\Z")
 
 
-def window_of(sentence: Sentence, asking: Asking, *, now_ms: int) -> dict[str, str] | None:
+def window_of(sentence: Sentence, asking: DraftDialog, *, now_ms: int) -> dict[str, str] | None:
     """Return the draft's window, or None once it is asked for.
 
     Args:
@@ -51,7 +56,7 @@ def window_of(sentence: Sentence, asking: Asking, *, now_ms: int) -> dict[str, s
     return {"not_before": begin, "expiry": end}
 
 
-def _end(sentence: Sentence, asking: Asking, now_ms: int) -> str | None:
+def _end(sentence: Sentence, asking: DraftDialog, now_ms: int) -> str | None:
     """Return the end as an instant or as a duration."""
     if sentence.length is not None:
         return _duration(sentence.length.text, "window")
@@ -69,7 +74,7 @@ def _end(sentence: Sentence, asking: Asking, now_ms: int) -> str | None:
     return answer if _INSTANT.match(answer) else _duration(answer, "window")
 
 
-def _instant(time: Daytime, field: str, asking: Asking, now_ms: int) -> str | None:
+def _instant(time: Daytime, field: str, asking: DraftDialog, now_ms: int) -> str | None:
     """Return the instant that a time of day means, or None once it is asked which one."""
     options = instants(time, now_ms=now_ms)
     if time.utc and time.day is not None and len(options) == 1:
@@ -100,7 +105,7 @@ def _duration(text: str, where: str) -> str:
     found = read_measure_text(text, tokenize(text))
     if (
         found is None
-        or found.dimension is not Dimension.TIME
+        or found.dimension is not QuantityDimension.TIME
         or found.amount.denominator != 1
         or found.amount <= 0
     ):

@@ -16,13 +16,13 @@ from cryptography.hazmat.primitives.serialization import Encoding
 
 from authguard_r.authoring.keys.folder import (
     ISSUED,
-    Given,
+    IssuedCertificate,
     alone,
     certified,
     given,
     require_lasting,
 )
-from authguard_r.authoring.keys.request import OpenedRequest, Wanted, make_answer
+from authguard_r.authoring.keys.request import OpenedRequest, WantedCertificate, make_answer
 from authguard_r.authoring.keys.setup import (
     AUTHORITIES,
     SUFFIXES,
@@ -104,7 +104,7 @@ def issue(
 
 def issue_group(
     folder: Path,
-    wanted: Wanted,
+    wanted: WantedCertificate,
     key: PublicKey,
     *,
     threshold: int,
@@ -147,7 +147,7 @@ def issue_group(
 
 def _chains(
     folder: Path,
-    wanted: Wanted,
+    wanted: WantedCertificate,
     keys: tuple[PublicKey, ...],
     *,
     now: datetime,
@@ -210,7 +210,9 @@ def require_grantable(folder: Path, request: OpenedRequest, *, now: datetime) ->
         _require_holder(read_trust(folder), request, at)
 
 
-def require_group(folder: Path, wanted: Wanted, key: PublicKey, *, now: datetime) -> None:
+def require_group(
+    folder: Path, wanted: WantedCertificate, key: PublicKey, *, now: datetime
+) -> None:
     """Require that the authority of this folder may give a group this name and this key.
 
     Raises:
@@ -225,7 +227,7 @@ def require_group(folder: Path, wanted: Wanted, key: PublicKey, *, now: datetime
     _require_free(folder, wanted, (key,), renews=False, now=at)
 
 
-def _group_path(folder: Path, wanted: Wanted) -> Path:
+def _group_path(folder: Path, wanted: WantedCertificate) -> Path:
     return folder / "keys" / f"{wanted.principal}.cert.pem"
 
 
@@ -269,7 +271,7 @@ def _words(names: Iterable[str] | None) -> str:
 
 
 def _require_free(
-    folder: Path, wanted: Wanted, keys: tuple[PublicKey, ...], *, renews: bool, now: Now
+    folder: Path, wanted: WantedCertificate, keys: tuple[PublicKey, ...], *, renews: bool, now: Now
 ) -> None:
     """Require that the name is free or has these keys, and that the keys are nobody else's."""
     here, issuers = certified(folder), _issuers(folder, wanted)
@@ -300,7 +302,9 @@ def _require_free(
 
 
 def _require_own_keys(
-    everything: tuple[Given, ...], wanted: Wanted, keys: tuple[PublicKey, ...]
+    everything: tuple[IssuedCertificate, ...],
+    wanted: WantedCertificate,
+    keys: tuple[PublicKey, ...],
 ) -> None:
     """Require keys that no other name has or had, and that were not revoked.
 
@@ -323,7 +327,9 @@ def _require_own_keys(
             )
 
 
-def _holders(everything: tuple[Given, ...], wanted: Wanted, now: Now) -> list[Leaf]:
+def _holders(
+    everything: tuple[IssuedCertificate, ...], wanted: WantedCertificate, now: Now
+) -> list[Leaf]:
     """Return what the name has that is neither revoked nor over."""
     return [
         item.leaf
@@ -346,7 +352,7 @@ def _require_holder(trust: Trust, request: OpenedRequest, now: Now) -> None:
         )
 
 
-def _issuers(folder: Path, wanted: Wanted) -> list[str]:
+def _issuers(folder: Path, wanted: WantedCertificate) -> list[str]:
     """Return the names of the authorities that give a role, one under each root."""
     name = authority_of(wanted.role)
     names = [name + suffix for suffix in SUFFIXES]

@@ -28,7 +28,7 @@ from authguard_r.keys.trust import ROOT_LISTS, Trust, pairs, read_certificates, 
 ISSUED = "issued"
 
 
-class Given(Struct, frozen=True, kw_only=True):
+class IssuedCertificate(Struct, frozen=True, kw_only=True):
     """A certificate that an authority of the folder gave.
 
     Args:
@@ -52,7 +52,7 @@ class Survey(Struct, frozen=True, kw_only=True):
         unread: what lies among them and is none, by its path; what it gave to whom, nobody knows.
     """
 
-    given: tuple[Given, ...]
+    given: tuple[IssuedCertificate, ...]
     unread: dict[Path, AuthGuardError]
 
 
@@ -67,7 +67,7 @@ def survey(folder: Path) -> Survey:
         certificate.public_bytes(Encoding.DER): name
         for name, (certificate, _) in certified(folder).items()
     }
-    found: list[Given] = []
+    found: list[IssuedCertificate] = []
     unread: dict[Path, AuthGuardError] = {}
     for kind in ("keys", ISSUED):
         for path in sorted(folder.glob(f"{kind}/*.cert.pem")):
@@ -78,7 +78,7 @@ def survey(folder: Path) -> Survey:
     return Survey(given=tuple(found), unread=unread)
 
 
-def given(folder: Path) -> tuple[Given, ...]:
+def given(folder: Path) -> tuple[IssuedCertificate, ...]:
     """Return every certificate that was given, oldest file name first.
 
     Raises:
@@ -90,7 +90,7 @@ def given(folder: Path) -> tuple[Given, ...]:
     return found.given
 
 
-def _given(path: Path, trust: Trust, names: dict[bytes, str]) -> Iterator[Given]:
+def _given(path: Path, trust: Trust, names: dict[bytes, str]) -> Iterator[IssuedCertificate]:
     for chain in pairs(read_certificates(path, most=4)):
         authority_der = chain[1].public_bytes(Encoding.DER)
         name = names.get(authority_der)
@@ -102,7 +102,7 @@ def _given(path: Path, trust: Trust, names: dict[bytes, str]) -> Iterator[Given]
             )
         leaf = as_given(chain, trust)
         revoked = leaf.serial in trust.lists[authority_der].serials
-        yield Given(path=path, leaf=leaf, authority=name, revoked=revoked)
+        yield IssuedCertificate(path=path, leaf=leaf, authority=name, revoked=revoked)
 
 
 def as_given(chain: tuple[x509.Certificate, x509.Certificate], trust: Trust) -> Leaf:

@@ -13,7 +13,7 @@ from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding
 from msgspec import Struct
 
-from authguard_r.authoring.keys.request import Answer, fingerprint
+from authguard_r.authoring.keys.request import CertificateAnswer, fingerprint
 from authguard_r.authoring.keys.setup import AUTHORITIES, SUFFIXES
 from authguard_r.core.encoding import decode, unb64
 from authguard_r.core.errors import AuthenticityError, MalformedError
@@ -55,7 +55,7 @@ def open_answer(data: bytes, now: Now) -> OpenedAnswer:
         AuthenticityError: a certificate or list does not hold at `now`, or an authority gives
             roles that are not its own.
     """
-    answer = decode(data.removesuffix(b"\n"), Answer, where="answer")
+    answer = decode(data.removesuffix(b"\n"), CertificateAnswer, where="answer")
     roots = tuple(_certificate(text, where="answer.roots") for text in answer.roots)
     named = dict(zip(ROOT_LISTS, roots, strict=False))
     authorities = {

@@ -55,7 +55,9 @@ _WANTED = "urn:authguard-r:wanted:"
 _Proofs = Annotated[tuple[Base64Url, ...], Meta(min_length=1, max_length=2)]
 
 
-class Wanted(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True):
+class WantedCertificate(
+    Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True
+):
     """What somebody asks a certificate for; the authority decides whether it gives it.
 
     Args:
@@ -79,7 +81,9 @@ class Wanted(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit
     template: Digest | None = None
 
 
-class Request(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True):
+class CertificateRequest(
+    Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True
+):
     """The file that goes to the authority.
 
     Args:
@@ -90,7 +94,7 @@ class Request(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omi
     """
 
     format: Literal["authguard-r/key-request/1"]
-    wanted: Wanted
+    wanted: WantedCertificate
     proofs: _Proofs
     renews: tuple[Endorsement, ...] = ()
 
@@ -105,13 +109,13 @@ class OpenedRequest(Struct, frozen=True, kw_only=True):
         renews: its signatures, not looked at yet.
     """
 
-    wanted: Wanted
+    wanted: WantedCertificate
     keys: tuple[PublicKey, ...]
     message: bytes
     renews: tuple[Endorsed, ...]
 
 
-class Answer(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class CertificateAnswer(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The file that comes back: certificates, and what a machine needs to believe them.
 
     Args:
@@ -130,7 +134,7 @@ class Answer(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 def make_request(
-    wanted: Wanted, keys: tuple[SigningKey, ...], *, before: FileSigner | None = None
+    wanted: WantedCertificate, keys: tuple[SigningKey, ...], *, before: FileSigner | None = None
 ) -> bytes:
     """Return the request's bytes.
 
@@ -146,7 +150,7 @@ def make_request(
             Endorsement(chain=tuple(b64(der) for der in chain), signature=b64(signature))
             for chain, signature in before.endorse(_message(wanted, proofs))
         )
-    request = Request(
+    request = CertificateRequest(
         format="authguard-r/key-request/1", wanted=wanted, proofs=proofs, renews=renews
     )
     return encode_fast(request) + b"\n"
@@ -159,7 +163,7 @@ def open_request(data: bytes) -> OpenedRequest:
         MalformedError: no canonical request, or one that nobody could grant.
         AuthenticityError: a proof does not hold, or is for something else.
     """
-    request = decode(data.removesuffix(b"\n"), Request, where="request")
+    request = decode(data.removesuffix(b"\n"), CertificateRequest, where="request")
     _require_sense(request.wanted)
     keys = tuple(
         _proven(unb64(proof, where="request.proofs"), request.wanted, where="request.proofs")
@@ -188,7 +192,7 @@ def key_fingerprint(key: PublicKey) -> str:
     return sha256(key.public_bytes_raw()).hexdigest()
 
 
-def _proof(wanted: Wanted, key: SigningKey) -> bytes:
+def _proof(wanted: WantedCertificate, key: SigningKey) -> bytes:
     uri = x509.UniformResourceIdentifier(_WANTED + _wanted_digest(wanted))
     name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, wanted.principal)])
     builder = x509.CertificateSigningRequestBuilder().subject_name(name)
@@ -198,7 +202,7 @@ def _proof(wanted: Wanted, key: SigningKey) -> bytes:
     return request_of(builder, key)
 
 
-def _proven(der: bytes, wanted: Wanted, *, where: str) -> PublicKey:
+def _proven(der: bytes, wanted: WantedCertificate, *, where: str) -> PublicKey:
     """Return the key of a PKCS#10 request that its holder made for exactly this."""
     try:
         csr = x509.load_der_x509_csr(der)
@@ -213,17 +217,17 @@ def _proven(der: bytes, wanted: Wanted, *, where: str) -> PublicKey:
     return key
 
 
-def _wanted_digest(wanted: Wanted) -> str:
+def _wanted_digest(wanted: WantedCertificate) -> str:
     return b64(sha256(f"{_REQUEST}\0".encode() + encode_fast(wanted)).digest())
 
 
-def _message(wanted: Wanted, proofs: tuple[str, ...]) -> bytes:
+def _message(wanted: WantedCertificate, proofs: tuple[str, ...]) -> bytes:
     """Return what the key before signs, to hand its name on to these keys and no others."""
     said = encode_fast({"proofs": proofs, "wanted": wanted})
     return sha256(f"{_REQUEST}/renews\0".encode() + said).digest()
 
 
-def _require_sense(wanted: Wanted) -> None:
+def _require_sense(wanted: WantedCertificate) -> None:
     """Refuse what no certificate of the profile can say, before anybody looks at it."""
     robots, role = len(wanted.robots), wanted.role
     for name, every in (("robots", wanted.every_robot), ("regions", wanted.every_region)):
@@ -258,7 +262,7 @@ def make_answer(
         authorities: the role authorities' certificates by name, DER.
         lists: the signed revocation lists by their authority's name.
     """
-    answer = Answer(
+    answer = CertificateAnswer(
         format="authguard-r/key-answer/1",
         chains=tuple((b64(leaf), b64(authority)) for leaf, authority in chains),
         roots=tuple(b64(root.public_bytes(Encoding.DER)) for root in roots),

@@ -13,9 +13,9 @@ from decimal import Decimal
 from typing import Any
 
 from authguard_r.authoring.onboarding.evidence import (
-    Evidence,
     Proposed,
     RawPlan,
+    ShadowEvidence,
     Unused,
     require_known,
 )
@@ -120,7 +120,7 @@ class SeenWay:
                 del self.fields[path]
 
 
-class Heard:
+class ObservedCalls:
     """Everything that the plans of a run say.
 
     Args:
@@ -193,7 +193,7 @@ class Heard:
         self.unused.append(Unused(seq, why))
 
 
-def hear(evidence: Evidence, site: Site, binder: Binder | None) -> Heard:
+def hear(evidence: ShadowEvidence, site: Site, binder: Binder | None) -> ObservedCalls:
     """Return what the plans of a run say.
 
     Args:
@@ -201,7 +201,7 @@ def hear(evidence: Evidence, site: Site, binder: Binder | None) -> Heard:
         site: the site.
         binder: of a binding that is sound for it; None: every call is only looked at.
     """
-    heard = Heard(site, binder)
+    heard = ObservedCalls(site, binder)
     for plan in evidence.plans:
         heard.add(plan)
     for way in heard.ways.values():

@@ -17,7 +17,7 @@ from msgspec import Struct
 from authguard_r.audit.closed import closed_of
 from authguard_r.audit.record import Record, Sealed, read_record, read_sealed
 from authguard_r.audit.sealed_envelopes import ACT
-from authguard_r.audit.verify import Row, Verification, verify_rows
+from authguard_r.audit.verify import LogRow, Verification, verify_rows
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import unb64
 from authguard_r.core.errors import MalformedError, RefusedError
@@ -72,7 +72,7 @@ class RawPlan(Struct, frozen=True):
     dialect: Dialect
 
 
-class Evidence(Struct, frozen=True, kw_only=True):
+class ShadowEvidence(Struct, frozen=True, kw_only=True):
     """Everything that a shadow run shows.
 
     Args:
@@ -91,8 +91,8 @@ class Evidence(Struct, frozen=True, kw_only=True):
 
 
 def gather(
-    rows: Iterable[Row], site: Site, *, opened: Callable[[Row], Row] | None = None
-) -> Evidence:
+    rows: Iterable[LogRow], site: Site, *, opened: Callable[[LogRow], LogRow] | None = None
+) -> ShadowEvidence:
     """Return what a log shows, once it is whole.
 
     Args:
@@ -113,7 +113,7 @@ def gather(
     if not found.proposed and not found.plans and not any(found.marked):
         message = "expected records of a shadow run: no record is marked `shadow`"
         raise RefusedError(message, where="log", reason=Reason.WRONG_KIND)
-    return Evidence(
+    return ShadowEvidence(
         log=log,
         robot=found.robot,
         proposed=tuple(found.proposed),
@@ -125,7 +125,7 @@ def gather(
 class _Gathered:
     """Takes out of each row what can be learned from it, once the verifier has let it pass."""
 
-    def __init__(self, site: Site, opened: Callable[[Row], Row] | None) -> None:
+    def __init__(self, site: Site, opened: Callable[[LogRow], LogRow] | None) -> None:
         self._site = site
         self._opened = opened
         self._facts: SiteFacts | None = None
@@ -137,13 +137,13 @@ class _Gathered:
         self.plans: list[RawPlan] = []
         self.unused: list[Unused] = []
 
-    def passing(self, rows: Iterable[Row]) -> Iterator[Row]:
+    def passing(self, rows: Iterable[LogRow]) -> Iterator[LogRow]:
         """Yield the rows as they are."""
         for row in rows:
             yield row  # whoever verifies asks for the next one only when this one held
             self._take(row if self._opened is None else self._opened(row))
 
-    def _take(self, row: Row) -> None:
+    def _take(self, row: LogRow) -> None:
         where = f"record {row.seq}"
         record = read_record(row.record, where=where)
         sealed = read_sealed(row.sealed, where=where)

@@ -33,7 +33,7 @@ _CONSTANT = re.compile(r"\S+\s+\w+\s*=.*")
 _LONGEST = 128
 
 
-class Kind(StrEnum):
+class InterfaceKind(StrEnum):
     """How a robot is reached in ROS 2."""
 
     TOPIC = "topic"
@@ -42,15 +42,19 @@ class Kind(StrEnum):
 
 
 #: How rosbridge names what it reaches: the operation, and the fields of its name, type and body.
-OPERATIONS: dict[Kind, tuple[str, str, str, str]] = {
-    Kind.TOPIC: ("publish", "topic", "type", "msg"),
-    Kind.SERVICE: ("call_service", "service", "type", "args"),
-    Kind.ACTION: ("send_action_goal", "action", "action_type", "args"),
+OPERATIONS: dict[InterfaceKind, tuple[str, str, str, str]] = {
+    InterfaceKind.TOPIC: ("publish", "topic", "type", "msg"),
+    InterfaceKind.SERVICE: ("call_service", "service", "type", "args"),
+    InterfaceKind.ACTION: ("send_action_goal", "action", "action_type", "args"),
 }
-_OF_TYPE = {"msg": Kind.TOPIC, "srv": Kind.SERVICE, "action": Kind.ACTION}
+_OF_TYPE = {
+    "msg": InterfaceKind.TOPIC,
+    "srv": InterfaceKind.SERVICE,
+    "action": InterfaceKind.ACTION,
+}
 
 
-class Reached(Struct, frozen=True):
+class GraphEntry(Struct, frozen=True):
     """One topic, service or action.
 
     Args:
@@ -61,13 +65,13 @@ class Reached(Struct, frozen=True):
             nothing says; None when nothing says what fields there are.
     """
 
-    kind: Kind
+    kind: InterfaceKind
     name: str
     type: str
     fields: dict[str, bool] | None
 
 
-class _Graph(Struct, frozen=True, forbid_unknown_fields=True):
+class _GraphFile(Struct, frozen=True, forbid_unknown_fields=True):
     """The form with definitions; each name with its type, or its types."""
 
     topics: dict[str, str | list[str]] = {}
@@ -76,7 +80,7 @@ class _Graph(Struct, frozen=True, forbid_unknown_fields=True):
     types: dict[str, str] = {}
 
 
-def read_ros(text: str, *, where: str) -> tuple[Reached, ...]:
+def read_ros(text: str, *, where: str) -> tuple[GraphEntry, ...]:
     """Return every topic, service and action of a list.
 
     Args:
@@ -96,25 +100,25 @@ def read_ros(text: str, *, where: str) -> tuple[Reached, ...]:
         found, types = list(_of_graph(graph, where)), graph.types
     require_few(len(found), "topics, services or actions", where)
     fields = {kind: _fields(kind, shape, where) for kind, shape in types.items()}
-    named = {kind: Apart(str(kind)) for kind in Kind}
+    named = {kind: Apart(str(kind)) for kind in InterfaceKind}
     for kind, name, _, place in found:
         named[kind].add(name, place)
     return tuple(
-        Reached(kind, name, of_type, _known(of_type, fields)) for kind, name, of_type, _ in found
+        GraphEntry(kind, name, of_type, _known(of_type, fields)) for kind, name, of_type, _ in found
     )
 
 
-def _graph(text: str, where: str) -> _Graph:
+def _graph(text: str, where: str) -> _GraphFile:
     if text.lstrip()[:1] == "{":
-        return convert(read_json(text, where=where), _Graph, where=where)
+        return convert(read_json(text, where=where), _GraphFile, where=where)
     plain = read_yaml(text, where=where)
     if not isinstance(plain, dict):
         message = "expected lines `NAME [TYPE]`, or `topics`, `services`, `actions` and `types`"
         raise MalformedError(message, where=where)
-    return convert(plain, _Graph, where=where)
+    return convert(plain, _GraphFile, where=where)
 
 
-def _of_lines(text: str, where: str) -> Iterator[tuple[Kind, str, str, str]]:
+def _of_lines(text: str, where: str) -> Iterator[tuple[InterfaceKind, str, str, str]]:
     for number, line in enumerate(text.splitlines(), 1):
         bare, place = line.partition("#")[0].strip(), f"{where}:{number}"
         if not bare:
@@ -130,11 +134,11 @@ def _of_lines(text: str, where: str) -> Iterator[tuple[Kind, str, str, str]]:
         yield kinds.pop(), _ros_name(found["name"], place), _one(types), place
 
 
-def _of_graph(graph: _Graph, where: str) -> Iterator[tuple[Kind, str, str, str]]:
+def _of_graph(graph: _GraphFile, where: str) -> Iterator[tuple[InterfaceKind, str, str, str]]:
     groups = (
-        (Kind.TOPIC, graph.topics),
-        (Kind.SERVICE, graph.services),
-        (Kind.ACTION, graph.actions),
+        (InterfaceKind.TOPIC, graph.topics),
+        (InterfaceKind.SERVICE, graph.services),
+        (InterfaceKind.ACTION, graph.actions),
     )
     for kind, group in groups:
         for name, said in group.items():
@@ -155,7 +159,7 @@ def _ros_name(name: str, where: str) -> str:
     return name
 
 
-def _kind_of(of_type: str, where: str) -> Kind:
+def _kind_of(of_type: str, where: str) -> InterfaceKind:
     found = _TYPE.fullmatch(of_type) if len(of_type) <= _LONGEST else None
     if found is None:
         message = f"expected a type such as `std_msgs/msg/String`, got `{shown(of_type)}`"
@@ -177,9 +181,11 @@ def _known(of_type: str, fields: dict[str, dict[str, bool]]) -> dict[str, bool] 
 def _fields(of_type: str, shape: str, where: str) -> dict[str, bool]:
     """Return the fields of a definition, as it is written or as `ros2 interface show` prints it."""
     place = f"{where}:types.{shown(of_type)}"
-    suffix = {Kind.TOPIC: "msg", Kind.SERVICE: "srv", Kind.ACTION: "action"}[
-        _kind_of(of_type, place)
-    ]
+    suffix = {
+        InterfaceKind.TOPIC: "msg",
+        InterfaceKind.SERVICE: "srv",
+        InterfaceKind.ACTION: "action",
+    }[_kind_of(of_type, place)]
     head = shape.partition("\n---")[0] if not shape.startswith("---") else ""
     if any(line[:1] in {"\t", " "} and line.strip() for line in head.splitlines()):
         found = _shown_fields(head, place)

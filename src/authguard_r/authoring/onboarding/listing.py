@@ -46,7 +46,7 @@ class Source(StrEnum):
     ROS = "ros"
 
 
-class Tool(Struct, frozen=True):
+class ListedTool(Struct, frozen=True):
     """One tool of a list.
 
     Args:
@@ -76,7 +76,7 @@ def list_text(data: bytes, *, where: str) -> str:
     return text
 
 
-def read_mcp(text: str, *, where: str) -> tuple[Tool, ...]:
+def read_mcp(text: str, *, where: str) -> tuple[ListedTool, ...]:
     """Return the tools of a `tools/list` result, of the whole answer around it, or of an array.
 
     Args:
@@ -95,7 +95,7 @@ def read_mcp(text: str, *, where: str) -> tuple[Tool, ...]:
     return _tools(_array(value, where), _mcp_tool)
 
 
-def read_openai(text: str, *, where: str) -> tuple[Tool, ...]:
+def read_openai(text: str, *, where: str) -> tuple[ListedTool, ...]:
     """Return the functions of a `tools` array: of chat completions, of responses, or one a line.
 
     Args:
@@ -144,14 +144,14 @@ def require_few(count: int, what: str, where: str = "list") -> None:
 
 def _tools(
     items: list[tuple[Any, str]], read: Callable[[dict[str, Any], str], tuple[Any, str]]
-) -> tuple[Tool, ...]:
+) -> tuple[ListedTool, ...]:
     """Return the tools of a list; no two may be taken for each other.
 
     Args:
         items: each with its place.
         read: returns a tool's schema and its place.
     """
-    found: list[Tool] = []
+    found: list[ListedTool] = []
     names = Apart("tool")
     for item, where in items:
         if not isinstance(item, dict):
@@ -162,7 +162,7 @@ def _tools(
             raise MalformedError("expected a tool with a name", where=f"{where}.name")
         names.add(tool_name(name, f"{where}.name"), f"{where}.name")
         schema, place = read(item, where)
-        found.append(Tool(name, schema_fields(schema, f"{place} of {name}")))
+        found.append(ListedTool(name, schema_fields(schema, f"{place} of {name}")))
     return tuple(found)
 
 

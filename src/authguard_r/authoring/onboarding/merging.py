@@ -16,7 +16,7 @@ from authguard_r.authoring.onboarding.calls import WayKey
 from authguard_r.authoring.onboarding.graph import OPERATIONS
 from authguard_r.authoring.onboarding.meaning import Meaning
 from authguard_r.authoring.onboarding.skeleton import UNHELD
-from authguard_r.normalize.binding import Binding, ToolBinding, Way, ways
+from authguard_r.normalize.binding import Binding, ToolBinding, ToolWay, ways
 
 _REACHED = {operation: name for operation, name, _, _ in OPERATIONS.values()}
 _NEVER = "never called in this run"
@@ -40,7 +40,7 @@ def merged(meanings: tuple[Meaning, ...], binding: Binding | None) -> tuple[Mean
     return (*found, *learned.values())
 
 
-def _key(way: Way) -> WayKey:
+def _key(way: ToolWay) -> WayKey:
     path = _REACHED.get(way.name, "")
     reached = way.tool.when.get(path)
     return way.name, (path, reached) if isinstance(reached, str) else None

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from authguard_r.authoring.compile.answers import compile_plain
 from authguard_r.authoring.onboarding.calls import WayKey, hear
-from authguard_r.authoring.onboarding.evidence import Evidence, Unused
+from authguard_r.authoring.onboarding.evidence import ShadowEvidence, Unused
 from authguard_r.authoring.onboarding.grants import Learned, SeenGrant, SeenRow, draft_of, learn
 from authguard_r.authoring.onboarding.meaning import Meaning, Meanings
 from authguard_r.authoring.onboarding.merging import merged
@@ -45,7 +45,7 @@ _HEAD = """\
 """
 
 
-class Proposals(Struct, frozen=True, kw_only=True):
+class LearnedProposals(Struct, frozen=True, kw_only=True):
     """What a log justifies.
 
     Args:
@@ -67,7 +67,7 @@ class Proposals(Struct, frozen=True, kw_only=True):
     unused: tuple[Unused, ...]
 
 
-def propose(evidence: Evidence, site: Site, binding: Binding | None) -> Proposals:
+def propose(evidence: ShadowEvidence, site: Site, binding: Binding | None) -> LearnedProposals:
     """Return the files that a shadow run justifies, and what of it they leave out.
 
     Args:
@@ -92,7 +92,7 @@ def propose(evidence: Evidence, site: Site, binding: Binding | None) -> Proposal
         questions = _questions(plain, site)
         files[MISSION] = mission_page(plain, learned, questions, site)
     unused = sorted((*evidence.unused, *heard.unused, *learned.unused), key=lambda item: item.seq)
-    return Proposals(
+    return LearnedProposals(
         files=files,
         learned=learned,
         meanings=meanings,
@@ -133,7 +133,7 @@ def mission_page(
     plain: dict[str, Any], learned: Learned, questions: tuple[tuple[str, str], ...], site: Site
 ) -> str:
     """Return the draft with what was seen beside each row, and each open question at its place."""
-    asked = _Asked(questions)
+    asked = _OpenQuestions(questions)
     lines = [
         _HEAD.rstrip("\n"),
         "# What the log cannot say is a TODO at its place: write it there,",
@@ -153,7 +153,7 @@ def mission_page(
     return _same(text, {**plain, "grants": [_without_empty(grant) for grant in plain["grants"]]})
 
 
-class _Asked:
+class _OpenQuestions:
     """The open questions, each told at its place.
 
     Args:
@@ -185,7 +185,7 @@ class _Asked:
 
 
 def _grant_lines(
-    grant: dict[str, Any], seen: SeenGrant, asked: _Asked, number: int, site: Site
+    grant: dict[str, Any], seen: SeenGrant, asked: _OpenQuestions, number: int, site: Site
 ) -> Iterator[str]:
     yield f"  - id: {quoted(grant['id'])}"
     yield from (f"    {name}: {_flow(grant[name])}" for name in ("type", "tool"))

@@ -15,8 +15,8 @@ from typing import Any
 from msgspec import Struct
 
 from authguard_r.authoring.binding.check import BindingReport, check_binding
-from authguard_r.authoring.onboarding.graph import OPERATIONS, Reached, read_ros
-from authguard_r.authoring.onboarding.listing import Source, Tool, read_mcp, read_openai
+from authguard_r.authoring.onboarding.graph import OPERATIONS, GraphEntry, read_ros
+from authguard_r.authoring.onboarding.listing import ListedTool, Source, read_mcp, read_openai
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import RobotId
 from authguard_r.normalize.binding import Binding
@@ -48,7 +48,7 @@ class Skeleton(Struct, frozen=True, kw_only=True):
     report: BindingReport
 
 
-class _Way(Struct, frozen=True):
+class _RefusedWay(Struct, frozen=True):
     """One refused way: the tool, what tells it apart, its fields, its ROS message and body."""
 
     tool: str
@@ -70,7 +70,7 @@ def make_skeleton(text: str, *, source: Source, robot: RobotId, where: str) -> S
     Raises:
         MalformedError: not such a list, or one that a binding cannot hold; with the place.
     """
-    tools: Callable[[], tuple[tuple[_Way, ...], str]] = {
+    tools: Callable[[], tuple[tuple[_RefusedWay, ...], str]] = {
         Source.MCP: lambda: _of_tools(read_mcp(text, where=where)),
         Source.OPENAI: lambda: _of_tools(read_openai(text, where=where)),
         Source.ROS: lambda: _of_graph(read_ros(text, where=where)),
@@ -101,14 +101,14 @@ def _proven(binding: str, interface: str, site: Site, where: str) -> BindingRepo
     return report
 
 
-def _of_tools(tools: tuple[Tool, ...]) -> tuple[tuple[_Way, ...], str]:
-    ways = tuple(_Way(tool.name, {}, _paths(tool.fields)) for tool in tools)
+def _of_tools(tools: tuple[ListedTool, ...]) -> tuple[tuple[_RefusedWay, ...], str]:
+    ways = tuple(_RefusedWay(tool.name, {}, _paths(tool.fields)) for tool in tools)
     return ways, _interface_text({tool.name: tool.fields for tool in tools}, {})
 
 
-def _of_graph(found: tuple[Reached, ...]) -> tuple[tuple[_Way, ...], str]:
+def _of_graph(found: tuple[GraphEntry, ...]) -> tuple[tuple[_RefusedWay, ...], str]:
     """Return a way for each topic, service and action, and what rosbridge itself takes."""
-    ways: list[_Way] = []
+    ways: list[_RefusedWay] = []
     tools: dict[str, dict[str, bool]] = {}
     messages: dict[str, list[dict[str, bool]]] = {}
     for item in found:
@@ -116,7 +116,9 @@ def _of_graph(found: tuple[Reached, ...]) -> tuple[tuple[_Way, ...], str]:
         tools[operation] = {name: False, kind: False, body: True}
         below = tuple(f"{body}.{path}" for path in _paths(item.fields or {}))
         paths = (kind, *(below or (body,)))
-        ways.append(_Way(operation, {name: item.name}, paths, item.type, body if item.type else ""))
+        ways.append(
+            _RefusedWay(operation, {name: item.name}, paths, item.type, body if item.type else "")
+        )
         if item.fields:
             messages.setdefault(item.type.rpartition("/")[2], []).append(item.fields)
     told = {name: shapes[0] for name, shapes in messages.items() if _agree(shapes)}
@@ -148,8 +150,8 @@ def _interface_text(tools: dict[str, Any], messages: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _binding_text(ways: tuple[_Way, ...]) -> str:
-    grouped: dict[str, list[_Way]] = {}
+def _binding_text(ways: tuple[_RefusedWay, ...]) -> str:
+    grouped: dict[str, list[_RefusedWay]] = {}
     for way in ways:
         grouped.setdefault(way.tool, []).append(way)
     lines = [
@@ -168,7 +170,7 @@ def _binding_text(ways: tuple[_Way, ...]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _way_lines(way: _Way) -> Iterator[str]:
+def _way_lines(way: _RefusedWay) -> Iterator[str]:
     yield f"type: {UNHELD}"
     yield f"tool: {UNHELD}"
     if way.when:

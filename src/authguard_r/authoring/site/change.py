@@ -21,7 +21,7 @@ from authguard_r.site.model import Site
 from authguard_r.site.names import named, shown
 
 
-class Effect(StrEnum):
+class ChangeEffect(StrEnum):
     """What a change does to what was written or signed before, in the order of reporting."""
 
     MEANING = "meaning"  # the same word now says something else
@@ -32,7 +32,7 @@ class Effect(StrEnum):
     COUNTS = "counts"  # the version number
 
 
-class Change(Struct, frozen=True, kw_only=True):
+class SiteChange(Struct, frozen=True, kw_only=True):
     """One difference.
 
     Args:
@@ -43,7 +43,7 @@ class Change(Struct, frozen=True, kw_only=True):
         new: the value now; None when there is none.
     """
 
-    effect: Effect
+    effect: ChangeEffect
     group: str
     where: str
     old: Any
@@ -65,7 +65,7 @@ _LESS = frozenset(
 _GROWING = frozenset({"tools", "roles", "places", "baseline"})
 
 
-def changes(old: Site, new: Site) -> tuple[Change, ...]:
+def changes(old: Site, new: Site) -> tuple[SiteChange, ...]:
     """Return every difference, what changes meaning first, then in the order of the model."""
     before, after = _plain(old), _plain(new)
     found = [*_names(old, new)]
@@ -78,11 +78,11 @@ def changes(old: Site, new: Site) -> tuple[Change, ...]:
     found += _sources(old, new)
     for part in ("baseline", "id", "version"):
         found += _differences((part,), before[part], after[part])
-    order = list(Effect)
+    order = list(ChangeEffect)
     return tuple(sorted(found, key=lambda change: order.index(change.effect)))
 
 
-def line_of(change: Change) -> str:
+def line_of(change: SiteChange) -> str:
     """Return a change for people, in one line of ASCII."""
     old, new = (_text(value) for value in (change.old, change.new))
     if change.old is None:
@@ -94,31 +94,31 @@ def line_of(change: Change) -> str:
     return f"{change.effect.upper():8} {change.where}: {told}"
 
 
-def _names(old: Site, new: Site) -> Iterator[Change]:
+def _names(old: Site, new: Site) -> Iterator[SiteChange]:
     """Yield each spelling that means another thing, something new, or nothing any more."""
     before = {(thing.group, name): thing.item for thing in named(old) for name in thing.names}
     after = {(thing.group, name): thing.item for thing in named(new) for name in thing.names}
     for group, name in sorted({*before, *after}):
         was, now = before.get((group, name)), after.get((group, name))
         if was != now:
-            effect = Effect.MEANING
+            effect = ChangeEffect.MEANING
             if was is None or now is None:
-                effect = Effect.ADDS if was is None else Effect.REMOVES
+                effect = ChangeEffect.ADDS if was is None else ChangeEffect.REMOVES
             where = f"{group} named `{shown(name)}`"
-            yield Change(effect=effect, group="names", where=where, old=was, new=now)
+            yield SiteChange(effect=effect, group="names", where=where, old=was, new=now)
 
 
-def _doors(old: list[Any], new: list[Any]) -> Iterator[Change]:
+def _doors(old: list[Any], new: list[Any]) -> Iterator[SiteChange]:
     """Yield the doors that are new or gone; one that moved is both."""
     for door in new:
         if door not in old:
-            yield _change(Effect.ADDS, ("doors",), None, door)
+            yield _change(ChangeEffect.ADDS, ("doors",), None, door)
     for door in old:
         if door not in new:
-            yield _change(Effect.REMOVES, ("doors",), door, None)
+            yield _change(ChangeEffect.REMOVES, ("doors",), door, None)
 
 
-def _channels(old: dict[str, str], new: dict[str, str]) -> Iterator[Change]:
+def _channels(old: dict[str, str], new: dict[str, str]) -> Iterator[SiteChange]:
     """Yield the channels that are new, gone, or trusted more or less than before."""
     for channel in sorted({*old, *new}):
         written = (old.get(channel), new.get(channel))
@@ -126,23 +126,23 @@ def _channels(old: dict[str, str], new: dict[str, str]) -> Iterator[Change]:
             continue
         was, now = (word or CHANNELS.get(channel) for word in written)
         if was is None or now is None or was == now:
-            effect = Effect.ADDS if written[0] is None else Effect.REMOVES
+            effect = ChangeEffect.ADDS if written[0] is None else ChangeEffect.REMOVES
         else:
             less = TRUST.index(Label(now)) > TRUST.index(Label(was))
-            effect = Effect.NARROWS if less else Effect.WIDENS
+            effect = ChangeEffect.NARROWS if less else ChangeEffect.WIDENS
         yield _change(effect, ("channels", channel), *written)
 
 
-def _sources(old: Site, new: Site) -> Iterator[Change]:
+def _sources(old: Site, new: Site) -> Iterator[SiteChange]:
     """Yield the fields that more or fewer labels may set than before."""
     for field in SourceField:
         was, now = (site.sources.get(field, tuple(sorted(WIDEST[field]))) for site in (old, new))
         if was != now:
-            effect = Effect.NARROWS if set(now) < set(was) else Effect.WIDENS
+            effect = ChangeEffect.NARROWS if set(now) < set(was) else ChangeEffect.WIDENS
             yield _change(effect, ("sources", str(field)), list(was), list(now))
 
 
-def _differences(path: tuple[str, ...], old: Any, new: Any) -> Iterator[Change]:
+def _differences(path: tuple[str, ...], old: Any, new: Any) -> Iterator[SiteChange]:
     """Yield the differences between two values, down to the smallest that differ."""
     if old == new:
         return
@@ -153,33 +153,33 @@ def _differences(path: tuple[str, ...], old: Any, new: Any) -> Iterator[Change]:
     yield _change(_effect(path, old, new), path, old, new)
 
 
-def _effect(path: tuple[str, ...], old: Any, new: Any) -> Effect:
+def _effect(path: tuple[str, ...], old: Any, new: Any) -> ChangeEffect:
     """Return what it does that a value became another; unknown is a change of meaning."""
     word = path[-1]
     if path == ("version",):
-        return Effect.COUNTS
+        return ChangeEffect.COUNTS
     if _GROWING & {word, *path[-2:-1]}:
         return _grown(old, new)
     if len(path) == 2 and path[0] in _THINGS:  # the path names a thing, not a part of one
-        return Effect.ADDS if old is None else Effect.REMOVES
+        return ChangeEffect.ADDS if old is None else ChangeEffect.REMOVES
     if old is not None and new is not None and word in _MORE | _LESS:
-        return Effect.WIDENS if (new > old) == (word in _MORE) else Effect.NARROWS
+        return ChangeEffect.WIDENS if (new > old) == (word in _MORE) else ChangeEffect.NARROWS
     if word == "monitored_by" and None in {old, new}:
-        return Effect.WIDENS if new is None else Effect.NARROWS
-    return Effect.MEANING
+        return ChangeEffect.WIDENS if new is None else ChangeEffect.NARROWS
+    return ChangeEffect.MEANING
 
 
-def _grown(old: Any, new: Any) -> Effect:
+def _grown(old: Any, new: Any) -> ChangeEffect:
     """Return what it does that a set has other members, or a place another purpose."""
     if isinstance(old, str) and isinstance(new, str):
-        return Effect.MEANING
+        return ChangeEffect.MEANING
     if new is None:
-        return Effect.NARROWS
-    return Effect.WIDENS if old is None or {*new} - {*old} else Effect.NARROWS
+        return ChangeEffect.NARROWS
+    return ChangeEffect.WIDENS if old is None or {*new} - {*old} else ChangeEffect.NARROWS
 
 
-def _change(effect: Effect, path: tuple[str, ...], old: Any, new: Any) -> Change:
-    return Change(effect=effect, group=path[0], where=".".join(path), old=old, new=new)
+def _change(effect: ChangeEffect, path: tuple[str, ...], old: Any, new: Any) -> SiteChange:
+    return SiteChange(effect=effect, group=path[0], where=".".join(path), old=old, new=new)
 
 
 def _text(value: Any) -> str:

@@ -27,7 +27,7 @@ from authguard_r.authoring.site.cells import (
     outline,
     size_of,
 )
-from authguard_r.authoring.site.proposal import Proposal, exact, millimeters
+from authguard_r.authoring.site.proposal import SiteProposal, exact, millimeters
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.core.identifiers import Identifier, RegionId
 from authguard_r.core.reasons import Reason
@@ -88,7 +88,7 @@ class _Grid(Struct, frozen=True):
         return self.x + round(column * self.cell), self.y + round(row * self.cell)
 
 
-def import_map(path: Path, *, site: Identifier, floor: int, min_area_mm2: int) -> Proposal:
+def import_map(path: Path, *, site: Identifier, floor: int, min_area_mm2: int) -> SiteProposal:
     """Return the site that a map server's map describes.
 
     Args:
@@ -128,7 +128,7 @@ def import_map(path: Path, *, site: Identifier, floor: int, min_area_mm2: int) -
         vocabulary={},
     )
     made = msgspec.structs.replace(made, doors=_doors(made))
-    return Proposal(site=made, missing=_missing(len(free) - len(kept), len(parts) - len(kept)))
+    return SiteProposal(site=made, missing=_missing(len(free) - len(kept), len(parts) - len(kept)))
 
 
 def _grid(told: _MapFile, where: str) -> _Grid:

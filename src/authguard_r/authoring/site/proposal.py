@@ -28,7 +28,7 @@ UNKNOWN_MASS_G = 1_000_000_000
 _FOREIGN = re.compile(r"[^a-z0-9_.:-]+")
 
 
-class Proposal(Struct, frozen=True, kw_only=True):
+class SiteProposal(Struct, frozen=True, kw_only=True):
     """A site made from a foreign file.
 
     Args:
@@ -47,7 +47,7 @@ class _Dumper(yaml.SafeDumper):
         return True
 
 
-def to_yaml(proposal: Proposal, *, where: str) -> str:
+def to_yaml(proposal: SiteProposal, *, where: str) -> str:
     """Return the file that an author goes on with; reading it gives exactly the proposal's site.
 
     Args:

@@ -15,7 +15,12 @@ from typing import Any, Literal, NoReturn
 
 from msgspec import Struct
 
-from authguard_r.authoring.site.proposal import UNKNOWN_MASS_G, Proposal, identifier, millimeters
+from authguard_r.authoring.site.proposal import (
+    UNKNOWN_MASS_G,
+    SiteProposal,
+    identifier,
+    millimeters,
+)
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.geometry import Point
 from authguard_r.core.identifiers import Identifier, ObjectId, RegionId
@@ -40,7 +45,7 @@ class _Node(Struct, frozen=True, forbid_unknown_fields=True):
     type: Literal["object", "region"] | None = None
 
 
-class _Graph(Struct, frozen=True, forbid_unknown_fields=True):
+class _SceneFile(Struct, frozen=True, forbid_unknown_fields=True):
     """The file. What is `extra` stands for variants of the scene, and is not part of it."""
 
     regions: tuple[_Node, ...]
@@ -87,7 +92,7 @@ class _Port(Struct, frozen=True):
 
 def import_scene(
     text: str, *, site: Identifier, floor: int, radius_mm: int, where: str
-) -> Proposal:
+) -> SiteProposal:
     """Return the site that a scene graph describes.
 
     Args:
@@ -101,7 +106,7 @@ def import_scene(
         MalformedError: not a scene graph, a name that is unknown or taken twice, an object in two
             regions, or places and ways that would overlap; with the place.
     """
-    graph = convert(_read(text, where), _Graph, where=where)
+    graph = convert(_read(text, where), _SceneFile, where=where)
     for field in ("regions", "objects", "object_connections", "region_connections"):
         if len(getattr(graph, field)) > MOST:
             raise MalformedError(f"expected at most {MOST}", where=f"{where}:{field}")
@@ -132,7 +137,7 @@ def import_scene(
     )
     for fault in faults(made):
         raise MalformedError(fault.message, where=f"{where}:{fault.where}")
-    return Proposal(site=made, missing=tuple(_missing(graph, homes)))
+    return SiteProposal(site=made, missing=tuple(_missing(graph, homes)))
 
 
 def _read(text: str, where: str) -> object:
@@ -170,7 +175,7 @@ def _ids(nodes: tuple[_Node, ...], where: str) -> dict[str, Identifier]:
     return made
 
 
-def _squares(graph: _Graph, radius_mm: int, where: str) -> dict[str, _Square]:
+def _squares(graph: _SceneFile, radius_mm: int, where: str) -> dict[str, _Square]:
     """Return the squares: two fifths of the way to the nearest neighbor at most.
 
     So a fifth of the way is left between any two, and each way has a length.
@@ -213,7 +218,7 @@ def _region(
 
 
 def _ways(
-    graph: _Graph,
+    graph: _SceneFile,
     ids: dict[str, Identifier],
     squares: dict[str, _Square],
     regions: dict[RegionId, Region],
@@ -241,7 +246,9 @@ def _ways(
     return tuple(doors)
 
 
-def _pairs(graph: _Graph, squares: dict[str, _Square], where: str) -> dict[tuple[str, str], str]:
+def _pairs(
+    graph: _SceneFile, squares: dict[str, _Square], where: str
+) -> dict[tuple[str, str], str]:
     """Return each connection once, whichever way round it is written, with its place."""
     pairs: dict[tuple[str, str], str] = {}
     for number, (first, second) in enumerate(graph.region_connections):
@@ -289,7 +296,7 @@ def _ports(
     return ports
 
 
-def _homes(graph: _Graph, ids: dict[str, Identifier], where: str) -> dict[str, RegionId]:
+def _homes(graph: _SceneFile, ids: dict[str, Identifier], where: str) -> dict[str, RegionId]:
     """Return the region that each object is in; one that no connection places has none."""
     things = {node.name for node in graph.objects}
     homes: dict[str, RegionId] = {}
@@ -307,7 +314,7 @@ def _homes(graph: _Graph, ids: dict[str, Identifier], where: str) -> dict[str, R
     return homes
 
 
-def _missing(graph: _Graph, homes: dict[str, RegionId]) -> list[str]:
+def _missing(graph: _SceneFile, homes: dict[str, RegionId]) -> list[str]:
     """Return what the graph does not say, or says of something else."""
     lines = [
         "regions: draw each as it is; every tag says `unreviewed`",

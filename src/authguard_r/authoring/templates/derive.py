@@ -18,7 +18,7 @@ from msgspec import Struct
 
 from authguard_r.authoring.compile.answers import compile_plain
 from authguard_r.authoring.compile.draft import DraftRate, Quantity
-from authguard_r.authoring.compile.questions import Questions
+from authguard_r.authoring.compile.questions import CompileQuestions
 from authguard_r.authoring.compile.units import to_integer
 from authguard_r.core.encoding import encode
 from authguard_r.core.errors import MalformedError
@@ -134,7 +134,7 @@ def _spelled(name: str, hole: DraftHole) -> dict[Value, Quantity]:
 
 def _said(draft: TemplateDraft, spelled: _Spelled, now: Now) -> dict[str, Any]:
     """Return everything but the mission; every question is asked at once."""
-    asked = Questions()
+    asked = CompileQuestions()
     instances = asked.given(draft.instances, "How many missions may be made of it?", "instances")
     count = asked.given(draft.rate.count, "How many missions in a while?", "rate.count")
     per_ms = asked.integer(draft.rate.per, "ms", field="rate.per")

@@ -9,7 +9,7 @@ from __future__ import annotations
 from msgspec import Struct
 
 from authguard_r.core.action import scope_of
-from authguard_r.core.approval import Verdict, VerifiedApproval, VerifiedPreApproval
+from authguard_r.core.approval import ApprovalVerdict, VerifiedApproval, VerifiedPreApproval
 from authguard_r.core.checks.case import Case
 from authguard_r.core.checks.guards import guard_finding
 from authguard_r.core.checks.people import people_behind
@@ -77,7 +77,7 @@ def check_approval(case: Case, grant: Grant, need: Need) -> Findings:
     if request is None or (request.scope, request.situation) != (need.scope, need.situation):
         return _ask(case, need)
     fitting = [a for a in case.approvals if _fits(a, case, grant, request)]
-    if request.denied or any(a.approval.verdict is Verdict.DENY for a in fitting):
+    if request.denied or any(a.approval.verdict is ApprovalVerdict.DENY for a in fitting):
         return (_finding(Reason.APPROVAL_DENIED, need.required, "a principal denied"),)
     if case.now.utc_ms > request.expires_ms:
         return (_finding(Reason.APPROVAL_TIMEOUT, need.required, "the request ran out"),)

@@ -39,7 +39,7 @@ _LACKS: dict[Missing, tuple[str, Reason]] = {
 }
 
 
-class Scene(Struct, frozen=True, kw_only=True):
+class EmergencyScene(Struct, frozen=True, kw_only=True):
     """Everything that a call is held against; nothing of it comes from the caller.
 
     Args:
@@ -84,7 +84,7 @@ class EmergencyDecision(Struct, frozen=True, kw_only=True):
 
 
 def decide_emergency(
-    opened: OpenedPolicy, name: str, caller: Caller, scene: Scene
+    opened: OpenedPolicy, name: str, caller: Caller, scene: EmergencyScene
 ) -> EmergencyDecision:
     """Return whether a caller may use a capability now; what is not known is not so.
 
@@ -179,7 +179,7 @@ def still_emergency(
 ) -> Findings:
     """Return why the robot may not go on, empty while it may (as `core.lease.still`)."""
     found = [*state_findings(capability, state, facts=facts, now=now), *time_findings(lease, now)]
-    found += _missing(capability, Scene(state=state, facts=facts, now=now, lacks=lacks))
+    found += _missing(capability, EmergencyScene(state=state, facts=facts, now=now, lacks=lacks))
     found += _monitored(capability, state, facts=facts, now=now)
     return in_paper_order(tuple(found))
 
@@ -227,7 +227,7 @@ def _in_time(opened: OpenedPolicy, now: Now) -> Findings:
     return ()
 
 
-def _able(capability: Capability, scene: Scene) -> Findings:
+def _able(capability: Capability, scene: EmergencyScene) -> Findings:
     """The robot can do it at all."""
     tools = scene.facts.robot.tools.get(capability.type, frozenset[str]())
     if capability.type in scene.facts.vocabulary and capability.tool in tools:
@@ -236,7 +236,7 @@ def _able(capability: Capability, scene: Scene) -> Findings:
     return (Finding("tool", Reason.CAPABILITY_EXCEEDED, wanted, capability.tool),)
 
 
-def _missing(capability: Capability, scene: Scene) -> Findings:
+def _missing(capability: Capability, scene: EmergencyScene) -> Findings:
     """Nothing is missing that the capability needs; no operator's stop stands against it."""
     found = [
         Finding(_LACKS[part][0], _LACKS[part][1], f"the {part}", "missing")
@@ -248,7 +248,7 @@ def _missing(capability: Capability, scene: Scene) -> Findings:
     return tuple(found)
 
 
-def _uses(capability: Capability, caller: Caller, scene: Scene) -> Findings:
+def _uses(capability: Capability, caller: Caller, scene: EmergencyScene) -> Findings:
     """This caller did not use it too often, nor begin it in vain too often.
 
     A use that a clock of before calls later counts, too.

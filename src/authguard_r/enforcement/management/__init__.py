@@ -26,17 +26,17 @@ from authguard_r.core.identifiers import Digest, MissionId
 from authguard_r.core.principals import Verifier
 from authguard_r.core.standing import Standing
 from authguard_r.core.token import read_token
-from authguard_r.enforcement.inputs import Intake
+from authguard_r.enforcement.inputs import InputVerifier
 from authguard_r.enforcement.management.activation import activate, end_issued, hand_in
 from authguard_r.enforcement.management.answers import take_answer
 from authguard_r.enforcement.management.configurations import (
     Configuration,
-    Part,
+    ConfiguredPart,
     hold_configurations,
     require_configurations,
 )
 from authguard_r.enforcement.management.orders import carry_out, choose
-from authguard_r.enforcement.management.parts import Parts, attempt
+from authguard_r.enforcement.management.parts import ManagementParts, attempt
 from authguard_r.enforcement.management.policy import hold_policy
 from authguard_r.enforcement.management.preapproval import preapprove
 from authguard_r.enforcement.management.recovery import mark_started, mark_stopped, recover
@@ -52,7 +52,7 @@ from authguard_r.enforcement.management.shredding import (
 )
 from authguard_r.enforcement.report import behind_of
 from authguard_r.enforcement.templates import TemplateStanding
-from authguard_r.store.transactions import Act, Ledger
+from authguard_r.store.transactions import Ledger, Transaction
 
 T = TypeVar("T")
 
@@ -71,7 +71,7 @@ class Management:
     def __init__(
         self,
         ledger: Ledger,
-        intake: Intake,
+        intake: InputVerifier,
         *,
         verifier: Verifier,
         facts: SiteFacts,
@@ -79,7 +79,9 @@ class Management:
     ) -> None:
         self._ledger = ledger
         self._intake = intake
-        self._parts = Parts(intake=intake, verifier=verifier, facts=facts, sealing=sealing)
+        self._parts = ManagementParts(
+            intake=intake, verifier=verifier, facts=facts, sealing=sealing
+        )
 
     def issue(self, token: bytes, *, confirmation: bytes | None = None) -> Standing:
         """Take in a mission, or the next version of one, and activate nothing.
@@ -127,7 +129,7 @@ class Management:
             AuthGuardError: malformed, not authentic, not allowed, here already or gone.
         """
 
-        def job(act: Act) -> TemplateStanding:
+        def job(act: Transaction) -> TemplateStanding:
             if read_token(token).kind is not Tag.COMMAND:
                 return admit(act, token, confirmation, parts=self._parts)
             return withdraw(act, token, parts=self._parts)
@@ -152,7 +154,7 @@ class Management:
                 on.
         """
 
-        def job(act: Act) -> AcceptedStore:
+        def job(act: Transaction) -> AcceptedStore:
             return accept_store(act, token, parts=self._parts)
 
         done = attempt(self._ledger, job)
@@ -195,7 +197,7 @@ class Management:
             AuthGuardError: malformed, not authentic, or not the signer's to make.
         """
 
-        def job(act: Act) -> Standing:
+        def job(act: Transaction) -> Standing:
             is_preapproval = read_token(token).kind is Tag.PREAPPROVAL
             taken = preapprove if is_preapproval else choose
             return taken(act, token, parts=self._parts)
@@ -231,7 +233,10 @@ class Management:
         attempt(self._ledger, lambda act: hold_policy(act, policy))
 
     def hold_configurations(
-        self, parts: dict[Part, Configuration], *, sealed: dict[Part, dict[str, object]]
+        self,
+        parts: dict[ConfiguredPart, Configuration],
+        *,
+        sealed: dict[ConfiguredPart, dict[str, object]],
     ) -> None:
         """Hold what the gate is configured with against what was seen, and record a change.
 
@@ -247,7 +252,7 @@ class Management:
         self.require_configurations(parts)
         attempt(self._ledger, lambda act: hold_configurations(act, parts, sealed=sealed))
 
-    def require_configurations(self, parts: dict[Part, Configuration]) -> None:
+    def require_configurations(self, parts: dict[ConfiguredPart, Configuration]) -> None:
         """Refuse to go back, whatever the clock says.
 
         Raises:
@@ -301,19 +306,19 @@ class Management:
         """
         self._intake.refresh()
 
-        def job(act: Act) -> tuple[Digest, ...]:
+        def job(act: Transaction) -> tuple[Digest, ...]:
             if not self._parts.facts.risk:
                 hold_policy(act, None)  # whoever has seen one decides nothing without it
             return recover(act, unclean=unclean, parts=self._parts)
 
         return self._ledger.run(job, essential=True)
 
-    def _order(self, job: Callable[[Act], T]) -> T:
+    def _order(self, job: Callable[[Transaction], T]) -> T:
         """End the issued missions that ended by themselves, for good; then carry an order out."""
         self._do(lambda act: end_issued(act, self._parts))
         return self._do(job)
 
-    def _narrow(self, job: Callable[[Act], T]) -> T:
+    def _narrow(self, job: Callable[[Transaction], T]) -> T:
         """Carry an order out; end issued missions behind it, so that they do not stop or delay it.
 
         A mission that cannot be ended now authorizes nothing, and the next order ends it.
@@ -323,10 +328,10 @@ class Management:
             self._ledger.run(lambda act: end_issued(act, self._parts), essential=True)
         return done
 
-    def _do(self, job: Callable[[Act], T]) -> T:
+    def _do(self, job: Callable[[Transaction], T]) -> T:
         """Carry an order out, unless the store was put back and nobody has accepted it."""
 
-        def held(act: Act) -> T:
+        def held(act: Transaction) -> T:
             self._intake.anchor.require()
             return job(act)
 

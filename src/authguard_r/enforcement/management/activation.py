@@ -25,7 +25,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Standing, advance, carry_over, issue
 from authguard_r.core.token import VerifiedMission, read_token
 from authguard_r.enforcement.confirmation import signed_inputs
-from authguard_r.enforcement.management.parts import Parts, entry, refuse, replayed
+from authguard_r.enforcement.management.parts import ManagementParts, entry, refuse, replayed
 from authguard_r.enforcement.management.repetition import Used, use_instance
 from authguard_r.enforcement.management.rollback import require_later
 from authguard_r.site.formatting import duration
@@ -37,7 +37,7 @@ from authguard_r.store.issued_missions import (
     require_readable,
     take_issued,
 )
-from authguard_r.store.transactions import Act, stop_stands
+from authguard_r.store.transactions import Transaction, stop_stands
 
 #: How a mission ends by itself, and why. A stale list is none of it: the next one may mend that.
 _ENDS: dict[Reason, Event] = {
@@ -66,7 +66,9 @@ class _Offered(Struct, frozen=True, kw_only=True):
         return signed_inputs(self.token, self.confirmation, self.verified.mission)
 
 
-def hand_in(act: Act, token: bytes, confirmation: bytes | None, *, parts: Parts) -> Standing:
+def hand_in(
+    act: Transaction, token: bytes, confirmation: bytes | None, *, parts: ManagementParts
+) -> Standing:
     """Take in a mission, an instance of a template, or a mission's next version; activate nothing.
 
     The standing of a version before it stays as it is. What is handed in waits with the status
@@ -100,7 +102,9 @@ def hand_in(act: Act, token: bytes, confirmation: bytes | None, *, parts: Parts)
     return standing
 
 
-def activate(act: Act, token: bytes, confirmation: bytes | None, *, parts: Parts) -> Standing:
+def activate(
+    act: Transaction, token: bytes, confirmation: bytes | None, *, parts: ManagementParts
+) -> Standing:
     """Make a mission active that is issued, or take it in first: the same kinds as `hand_in`."""
     require_readable(act)
     offered = _offered(act, token, confirmation, parts)
@@ -130,7 +134,9 @@ def activate(act: Act, token: bytes, confirmation: bytes | None, *, parts: Parts
     return active
 
 
-def _issued(act: Act, offered: _Offered, known: Standing | None, parts: Parts) -> Standing:
+def _issued(
+    act: Transaction, offered: _Offered, known: Standing | None, parts: ManagementParts
+) -> Standing:
     """Return the standing that is activated; a mission that was not handed in is, now."""
     verified = offered.verified
     here = registered(act, verified.mission.mid, verified.digest)
@@ -149,7 +155,7 @@ def _issued(act: Act, offered: _Offered, known: Standing | None, parts: Parts) -
 
 
 def _record(
-    act: Act, verb: str, offered: _Offered, standing: Standing, sealed: dict[str, object]
+    act: Transaction, verb: str, offered: _Offered, standing: Standing, sealed: dict[str, object]
 ) -> None:
     mission = offered.verified.mission
     opened: dict[str, object] = {
@@ -166,7 +172,9 @@ def _record(
     act.record(entry(act, mission.mid, opened, sealed))
 
 
-def _offered(act: Act, token: bytes, confirmation: bytes | None, parts: Parts) -> _Offered:
+def _offered(
+    act: Transaction, token: bytes, confirmation: bytes | None, parts: ManagementParts
+) -> _Offered:
     if read_token(token).kind is not Tag.INSTANCE:
         verified = parts.intake.verify_mission(token, act)
         return _Offered(verified=verified, held=token, token=token, confirmation=confirmation)
@@ -178,7 +186,7 @@ def _offered(act: Act, token: bytes, confirmation: bytes | None, parts: Parts) -
     return _Offered(verified=made, held=used.pair(token), token=token, confirmation=None, used=used)
 
 
-def end_issued(act: Act, parts: Parts, *, mid: MissionId | None = None) -> None:
+def end_issued(act: Transaction, parts: ManagementParts, *, mid: MissionId | None = None) -> None:
     """End every issued mission version that ended without an order, with one `lapse` record each.
 
     A damaged entry stays as it is; it keeps no other from its end.
@@ -196,14 +204,14 @@ def end_issued(act: Act, parts: Parts, *, mid: MissionId | None = None) -> None:
         _lapse(act, standing, why)
 
 
-def lapsed(act: Act, standing: Standing | None, parts: Parts) -> Standing | None:
+def lapsed(act: Transaction, standing: Standing | None, parts: ManagementParts) -> Standing | None:
     """Return the standing after what ended without an order: its time, or its signer's word."""
     if standing is None or standing.status in TERMINAL:
         return standing
     return _lapse(act, standing, _over(act, standing, parts))
 
 
-def _lapse(act: Act, standing: Standing, why: Reason | None) -> Standing:
+def _lapse(act: Transaction, standing: Standing, why: Reason | None) -> Standing:
     is_issued = standing.status is Status.ISSUED
     event = None if why is None else _ENDS.get(why)
     if is_issued and event is Event.COMPLETE:
@@ -221,7 +229,7 @@ def _lapse(act: Act, standing: Standing, why: Reason | None) -> Standing:
     return ended
 
 
-def _over(act: Act, standing: Standing, parts: Parts) -> Reason | None:
+def _over(act: Transaction, standing: Standing, parts: ManagementParts) -> Reason | None:
     """Return why a mission authorizes nothing any more, or not now; None: nothing says so."""
     known = act.standing(standing.mid)
     if known is not None and known.digest != standing.digest:  # issued beside it
@@ -268,7 +276,7 @@ def require_retention_bounds(mission: Mission, sealing: SealingPolicy) -> None:
         raise refuse(Reason.VALUE_OUT_OF_RANGE, text, f"mission.retention.{data}")
 
 
-def _require_usable(verified: VerifiedMission, act: Act, parts: Parts) -> None:
+def _require_usable(verified: VerifiedMission, act: Transaction, parts: ManagementParts) -> None:
     """Refuse what could never be carried out here: robot, profile, site, sources, times."""
     require_bound(verified.mission, parts.facts)
     require_sources(verified, parts.facts)
@@ -289,7 +297,9 @@ def _first(verified: VerifiedMission) -> Standing:
     return issue(verified)
 
 
-def _update(act: Act, known: Standing, verified: VerifiedMission, parts: Parts) -> Standing:
+def _update(
+    act: Transaction, known: Standing, verified: VerifiedMission, parts: ManagementParts
+) -> Standing:
     """Supersede the version before; only its issuer or a safety officer may."""
     mission = verified.mission
     if mission.version <= known.version:

@@ -8,22 +8,22 @@ from __future__ import annotations
 
 from authguard_r.approvals import approver_json
 from authguard_r.approvals.requests import find_asked, is_asked, why_not
-from authguard_r.core.approval import Verdict, VerifiedApproval
+from authguard_r.core.approval import ApprovalVerdict, VerifiedApproval
 from authguard_r.core.encoding import encode_fast
 from authguard_r.core.errors import AuthenticityError, RefusedError
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import deny_request
-from authguard_r.enforcement.management.parts import Parts, entry, refuse
+from authguard_r.enforcement.management.parts import ManagementParts, entry, refuse
 from authguard_r.enforcement.management.preapproval import withdraw_denied
 from authguard_r.enforcement.report import refusal_entry
-from authguard_r.store.transactions import Act, Ledger, read_held
+from authguard_r.store.transactions import Ledger, Transaction, read_held
 
 #: Where the store holds who has answered a request that is over, under mission and counter.
 LATE = "late-answers"
 
 
 def take_answer(
-    act: Act, token: bytes, why: str, ledger: Ledger, *, parts: Parts
+    act: Transaction, token: bytes, why: str, ledger: Ledger, *, parts: ManagementParts
 ) -> VerifiedApproval:
     """Keep an answer; what repeats one that is in the log already leaves no further record.
 
@@ -69,7 +69,7 @@ def take_answer(
     return item
 
 
-def _mark_late(act: Act, item: VerifiedApproval) -> bool:
+def _mark_late(act: Transaction, item: VerifiedApproval) -> bool:
     """Mark that somebody has answered a request that is over; False: it was marked before."""
     said = item.approval
     key, mark = f"{said.mid}:{said.counter}", f"{item.approver.id}:{said.verdict}"
@@ -81,7 +81,9 @@ def _mark_late(act: Act, item: VerifiedApproval) -> bool:
     return True
 
 
-def _effect(act: Act, item: VerifiedApproval, ledger: Ledger, parts: Parts) -> tuple[str, bool]:
+def _effect(
+    act: Transaction, item: VerifiedApproval, ledger: Ledger, parts: ManagementParts
+) -> tuple[str, bool]:
     """Return why an answer has no effect, empty when it has, and whether it closed its request."""
     intake, facts = parts.intake, parts.facts
     try:
@@ -91,7 +93,12 @@ def _effect(act: Act, item: VerifiedApproval, ledger: Ledger, parts: Parts) -> t
     except (AuthenticityError, RefusedError) as error:  # nothing is decided by this mission now
         return str(error.reason), False
     worth = why_not(asked, item, act.now)
-    if asked is None or worth or asked.request.denied or item.approval.verdict is Verdict.APPROVE:
+    if (
+        asked is None
+        or worth
+        or asked.request.denied
+        or item.approval.verdict is ApprovalVerdict.APPROVE
+    ):
         return worth, False
     denied = deny_request(asked.standing, asked.grant.id)
     act.hold(withdraw_denied(act, denied, asked.grant.id, parts=parts))

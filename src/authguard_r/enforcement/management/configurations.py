@@ -17,12 +17,12 @@ from authguard_r.core.lifecycle import Status
 from authguard_r.core.ports import Turn
 from authguard_r.core.reasons import Reason
 from authguard_r.enforcement.management.parts import entry, refuse
-from authguard_r.store.transactions import STOP, Act, read_held
+from authguard_r.store.transactions import STOP, Transaction, read_held
 
 _KIND = "configuration"
 
 
-class Part(StrEnum):
+class ConfiguredPart(StrEnum):
     """What is configured; the organization's risk policy has a rule of its own (`policy`)."""
 
     BINDING = "binding"
@@ -43,7 +43,7 @@ class Configuration(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     version: Count = 0
 
 
-def require_configurations(turn: Turn, parts: dict[Part, Configuration]) -> None:
+def require_configurations(turn: Turn, parts: dict[ConfiguredPart, Configuration]) -> None:
     """Refuse to go back; this needs no clock.
 
     Raises:
@@ -56,13 +56,16 @@ def require_configurations(turn: Turn, parts: dict[Part, Configuration]) -> None
             _require_newer(part, now, seen)
 
 
-def _seen(turn: Turn | Act, part: Part) -> Configuration | None:
+def _seen(turn: Turn | Transaction, part: ConfiguredPart) -> Configuration | None:
     held = turn.get(_KIND, part)
     return None if held is None else read_held(held, Configuration, _KIND)
 
 
 def hold_configurations(
-    act: Act, parts: dict[Part, Configuration], *, sealed: dict[Part, dict[str, object]]
+    act: Transaction,
+    parts: dict[ConfiguredPart, Configuration],
+    *,
+    sealed: dict[ConfiguredPart, dict[str, object]],
 ) -> None:
     """Hold what is in force from now on; what has changed since the last start is recorded.
 
@@ -91,7 +94,7 @@ def hold_configurations(
         act.put(_KIND, part, encode_fast(now))
 
 
-def _stamp(act: Act) -> None:
+def _stamp(act: Transaction) -> None:
     """In a store of before orders had times, what was stopped or suspended is so since now."""
     now, mid = str(act.now.utc_ms).encode("ascii"), act.active()
     if act.get(*STOP) == b"1":
@@ -101,18 +104,18 @@ def _stamp(act: Act) -> None:
         act.put("suspended", standing.mid, act.get("suspended", standing.mid) or now)
 
 
-def _begun_with(act: Act, part: Part) -> str | None:
+def _begun_with(act: Transaction, part: ConfiguredPart) -> str | None:
     """Return what the log's first record names of a part; None: it names no such part, ever.
 
     A store that was made without a gate, or by an older version, names another one or none.
     """
-    if part not in {Part.BINDING, Part.SAFETY}:
+    if part not in {ConfiguredPart.BINDING, ConfiguredPart.SAFETY}:
         return None
     (first,) = act.rows(0, 1)
     return str(read_record(first[1], where="record 0").open.get(part, NONE))
 
 
-def _require_newer(part: Part, now: Configuration, seen: Configuration) -> None:
+def _require_newer(part: ConfiguredPart, now: Configuration, seen: Configuration) -> None:
     """Refuse to go back; what was never versioned may change, and is recorded."""
     if now.version > seen.version or now.version == seen.version == 0:
         return

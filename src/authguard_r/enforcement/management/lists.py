@@ -19,13 +19,13 @@ from authguard_r.core.encoding import b64
 from authguard_r.core.errors import AuthenticityError, MalformedError, StoreError
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
-from authguard_r.enforcement.inputs import Intake
+from authguard_r.enforcement.inputs import InputVerifier
 from authguard_r.enforcement.leases import quietly
 from authguard_r.enforcement.management.parts import attempt, refuse
 from authguard_r.keys.loading import key_of, load
 from authguard_r.keys.revocation import RevocationList, read_list
 from authguard_r.keys.trust import Trust
-from authguard_r.store.transactions import Act, Ledger
+from authguard_r.store.transactions import Ledger, Transaction
 
 #: The number of an authority's first list: nothing older could come in its place.
 _FIRST = 1
@@ -61,7 +61,7 @@ class Lists:
     def __init__(
         self,
         ledger: Ledger,
-        intake: Intake,
+        intake: InputVerifier,
         trust: Trust,
         *,
         chain: tuple[bytes, ...],
@@ -88,7 +88,7 @@ class Lists:
             EnvironmentFault: it could not be written; the one before is in force.
         """
 
-        def read(act: Act) -> RevocationList | tuple[bytes, RevocationList]:
+        def read(act: Transaction) -> RevocationList | tuple[bytes, RevocationList]:
             there = self._trust.in_force(data, act.now)
             return self._trust.read_newer(data, act.now) if there is None else there
 
@@ -98,7 +98,7 @@ class Lists:
         der, found = known
         before = self._trust.lists[der]
 
-        def job(act: Act) -> None:
+        def job(act: Transaction) -> None:
             now = self._trust.lists[der]
             if now != found and now.number >= found.number:
                 raise refuse(Reason.REVOCATION_STALE, "another list came first", "revocations")
@@ -161,12 +161,12 @@ class Lists:
             ) from error
 
 
-def _hold_all(act: Act, lists: dict[bytes, RevocationList]) -> None:
+def _hold_all(act: Transaction, lists: dict[bytes, RevocationList]) -> None:
     for der, found in lists.items():
         _hold(act, der, found, by="folder")
 
 
-def _hold(act: Act, der: bytes, found: RevocationList, *, by: str) -> None:
+def _hold(act: Transaction, der: bytes, found: RevocationList, *, by: str) -> None:
     """Hold a list as the newest that was ever in force, and record that it is."""
     act.put("revocations", _key(der), found.signed)
     told = _received(found)

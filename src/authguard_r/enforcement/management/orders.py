@@ -18,7 +18,7 @@ from authguard_r.core.standing import Outcome, Spend, Standing, advance, finish,
 from authguard_r.core.token import open_token
 from authguard_r.enforcement.inputs import ISSUER_ROLES
 from authguard_r.enforcement.management.parts import (
-    Parts,
+    ManagementParts,
     entry,
     go_on,
     halted_ms,
@@ -33,13 +33,13 @@ from authguard_r.enforcement.management.repetition import require_fresh
 from authguard_r.enforcement.signed_orders import ENDING, EVENTS, NARROWING, Command, Verb
 from authguard_r.safety.stored_memory import settle_memory
 from authguard_r.store.issued_missions import hold_issued, registered
-from authguard_r.store.transactions import Act
+from authguard_r.store.transactions import Transaction
 
 #: Open releases that a message names; a mission has one for each lease that was lost.
 _NAMED = 4
 
 
-def carry_out(act: Act, token: bytes, *, parts: Parts) -> Standing:
+def carry_out(act: Transaction, token: bytes, *, parts: ManagementParts) -> Standing:
     """Carry out a signed command about a mission once."""
     command, _, signer = open_token(
         token, Command, tag=Tag.COMMAND, roles=ISSUER_ROLES, verifier=parts.verifier, now=act.now
@@ -75,7 +75,7 @@ def carry_out(act: Act, token: bytes, *, parts: Parts) -> Standing:
     return after
 
 
-def _require_newest(act: Act, command: Command) -> None:
+def _require_newest(act: Transaction, command: Command) -> None:
     """Refuse what would undo an order that was signed later; a release is resolved once only."""
     known = act.standing(command.mid)
     is_own = known is not None and known.digest == command.mission
@@ -89,7 +89,7 @@ def _require_newest(act: Act, command: Command) -> None:
 
 
 def _require_current(
-    act: Act, command: Command, signer: Principal, parts: Parts
+    act: Transaction, command: Command, signer: Principal, parts: ManagementParts
 ) -> tuple[Standing, Mission]:
     require_fresh(act, command)
     standing = registered(act, command.mid, command.mission)
@@ -112,7 +112,7 @@ def _require_current(
 
 
 def _carried_out(
-    act: Act, command: Command, standing: Standing, mission: Mission
+    act: Transaction, command: Command, standing: Standing, mission: Mission
 ) -> Standing | None:
     if command.verb is Verb.RESUME and standing.open:
         return None  # what nobody knows is resolved first
@@ -151,7 +151,7 @@ def _refusal(verb: Verb, standing: Standing) -> str:
     )
 
 
-def choose(act: Act, token: bytes, *, parts: Parts) -> Standing:
+def choose(act: Transaction, token: bytes, *, parts: ManagementParts) -> Standing:
     """Take in a signed choice of one row once."""
     selection, signer = open_selection(token, verifier=parts.verifier, now=act.now)
     standing = act.standing(selection.mid)

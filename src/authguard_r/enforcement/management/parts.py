@@ -24,10 +24,10 @@ from authguard_r.core.principals import Verifier
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Standing
-from authguard_r.enforcement.inputs import Intake
+from authguard_r.enforcement.inputs import InputVerifier
 from authguard_r.enforcement.report import refusal_entry
 from authguard_r.enforcement.signed_orders import Command
-from authguard_r.store.transactions import SKEW_MS, STOP, Act, Ledger, stop_stands
+from authguard_r.store.transactions import SKEW_MS, STOP, Ledger, Transaction, stop_stands
 
 T = TypeVar("T")
 #: No order is good for longer, in milliseconds.
@@ -36,7 +36,7 @@ MOST_VALID_MS = 86_400_000
 _KIND, _ACCEPTED = "counter", "accepted"
 
 
-class Parts(Struct, frozen=True, kw_only=True):
+class ManagementParts(Struct, frozen=True, kw_only=True):
     """What the acts need of their gate.
 
     Args:
@@ -46,13 +46,13 @@ class Parts(Struct, frozen=True, kw_only=True):
         sealing: what of the log is sealed, and how long it is kept.
     """
 
-    intake: Intake
+    intake: InputVerifier
     verifier: Verifier
     facts: SiteFacts
     sealing: SealingPolicy = SealingPolicy()
 
 
-def attempt(ledger: Ledger, job: Callable[[Act], T]) -> T:
+def attempt(ledger: Ledger, job: Callable[[Transaction], T]) -> T:
     """Carry an order out, or leave one record of why not; the world's faults leave none."""
     try:
         return ledger.run(job, essential=True)
@@ -65,7 +65,7 @@ def attempt(ledger: Ledger, job: Callable[[Act], T]) -> T:
 
 
 def entry(
-    act: Act, mid: str, opened: dict[str, object], sealed: dict[str, object] | None = None
+    act: Transaction, mid: str, opened: dict[str, object], sealed: dict[str, object] | None = None
 ) -> Entry:
     """Return the record of an act; its verb is the decision."""
     plain = msgspec.json.decode(encode_fast(opened))
@@ -79,24 +79,26 @@ def entry(
     )
 
 
-def go_on(act: Act) -> None:
+def go_on(act: Transaction) -> None:
     """Let no operator's stop stand any more: a signed order lets the mission go on."""
     if stop_stands(act):
         act.put(*STOP, b"")
 
 
-def hold_acceptance(act: Act) -> None:
+def hold_acceptance(act: Transaction) -> None:
     """Hold that this store was accepted now, after it had been put back."""
     act.put(_KIND, _ACCEPTED, str(act.now.utc_ms).encode("ascii"))
 
 
-def accepted_ms(act: Act) -> int:
+def accepted_ms(act: Transaction) -> int:
     """Return when this store was accepted last, 0 for never."""
     held = act.get(_KIND, _ACCEPTED)
     return 0 if held is None else int(held)
 
 
-def require_signed_since(act: Act, issued_ms: int, *, where: str = "command.issued_ms") -> None:
+def require_signed_since(
+    act: Transaction, issued_ms: int, *, where: str = "command.issued_ms"
+) -> None:
     """Refuse an order that may have been carried out in a part of the log that is lost.
 
     Args:
@@ -114,7 +116,7 @@ def require_signed_since(act: Act, issued_ms: int, *, where: str = "command.issu
 
 
 def require_timely(
-    act: Act, order: Command | Selection, where: str, *, is_narrowing: bool = False
+    act: Transaction, order: Command | Selection, where: str, *, is_narrowing: bool = False
 ) -> None:
     """Refuse an order that ran out, was carried out before, or is good for too long.
 
@@ -138,12 +140,12 @@ def require_timely(
         raise refuse(Reason.NOT_YET_VALID, text, f"{where}.issued_ms")
 
 
-def halted_ms(act: Act, mid: MissionId) -> int:
+def halted_ms(act: Transaction, mid: MissionId) -> int:
     """Return when the mission was suspended last, or an operator stopped the robot; 0: never."""
     return max(int(act.get(*key) or 0) for key in (STOP, ("suspended", mid)))
 
 
-def hold_suspended(act: Act, mid: MissionId, issued_ms: int, *, again: bool) -> None:
+def hold_suspended(act: Transaction, mid: MissionId, issued_ms: int, *, again: bool) -> None:
     """Hold that a mission is suspended since an order was signed.
 
     Args:
@@ -157,7 +159,7 @@ def hold_suspended(act: Act, mid: MissionId, issued_ms: int, *, again: bool) -> 
     act.put("suspended", mid, str(since_ms).encode("ascii"))
 
 
-def require_newest(act: Act, key: str, issued_ms: int, *, over_ms: int = 0) -> None:
+def require_newest(act: Transaction, key: str, issued_ms: int, *, over_ms: int = 0) -> None:
     """Refuse an order that was signed before what it would undo, and hold that it came.
 
     Args:

@@ -14,13 +14,13 @@ from authguard_r.core.encoding import encode_fast
 from authguard_r.core.identifiers import Digest, Identifier, Positive
 from authguard_r.core.reasons import Reason
 from authguard_r.enforcement.management.parts import entry, refuse
-from authguard_r.store.transactions import Act, read_held
+from authguard_r.store.transactions import Transaction, read_held
 
 _KIND, _KEY = "risk-policy", "highest"
 _WHERE = "risk-policy"
 
 
-class Seen(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class SeenVersion(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The highest version that this gate has seen."""
 
     organization: Identifier
@@ -28,21 +28,21 @@ class Seen(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     digest: Digest
 
 
-def hold_policy(act: Act, policy: VerifiedPolicy | None) -> None:
+def hold_policy(act: Transaction, policy: VerifiedPolicy | None) -> None:
     """Hold a policy as the highest that was seen; the same one again changes nothing.
 
     Raises:
         RefusedError: it may not be in force here; nothing was changed.
     """
     held = act.get(_KIND, _KEY)
-    seen = None if held is None else read_held(held, Seen, _KIND)
+    seen = None if held is None else read_held(held, SeenVersion, _KIND)
     if policy is None:
         if seen is not None:
             told = f"`{seen.organization}`'s policy, version {seen.version} or later"
             raise refuse(Reason.SUPERSEDED, f"expected {told}, got none", _WHERE)
         return
     own = policy.policy
-    now = Seen(organization=own.organization, version=own.version, digest=policy.digest)
+    now = SeenVersion(organization=own.organization, version=own.version, digest=policy.digest)
     if seen is not None:
         if now == seen:
             return
@@ -58,7 +58,7 @@ def hold_policy(act: Act, policy: VerifiedPolicy | None) -> None:
     act.record(entry(act, NONE, opened, {"token": policy.token}))
 
 
-def _require_newer(now: Seen, seen: Seen) -> None:
+def _require_newer(now: SeenVersion, seen: SeenVersion) -> None:
     if now.organization != seen.organization:
         told = f"expected the policy of `{seen.organization}`, got `{now.organization}`'s"
         raise refuse(Reason.ISSUER_MISMATCH, told, f"{_WHERE}.organization")

@@ -19,20 +19,20 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Standing
 from authguard_r.core.token import VerifiedMission
 from authguard_r.enforcement.management.parts import (
-    Parts,
+    ManagementParts,
     entry,
     refuse,
     replayed,
     require_newest,
     require_signed_since,
 )
-from authguard_r.store.transactions import SKEW_MS, Act
+from authguard_r.store.transactions import SKEW_MS, Transaction
 
 #: Where the store holds when an action of a grant was denied last, by mission and grant.
 _DENIED = "preapproval-denied"
 
 
-def preapprove(act: Act, token: bytes, *, parts: Parts) -> Standing:
+def preapprove(act: Transaction, token: bytes, *, parts: ManagementParts) -> Standing:
     """Take in a signed pre-approval; it replaces what its signer said of the grant before.
 
     Raises:
@@ -73,7 +73,9 @@ def preapprove(act: Act, token: bytes, *, parts: Parts) -> Standing:
     return held
 
 
-def withdraw_denied(act: Act, standing: Standing, grant: GrantId, *, parts: Parts) -> Standing:
+def withdraw_denied(
+    act: Transaction, standing: Standing, grant: GrantId, *, parts: ManagementParts
+) -> Standing:
     """Return the standing without pre-approvals of a grant, of which an action was denied.
 
     Only what is signed after the denial counts again.
@@ -83,7 +85,7 @@ def withdraw_denied(act: Act, standing: Standing, grant: GrantId, *, parts: Part
     return replace(standing, preapproved={one: standing.preapproved.get(one, 0) for one in kept})
 
 
-def _require_new(act: Act, item: VerifiedPreApproval) -> None:
+def _require_new(act: Transaction, item: VerifiedPreApproval) -> None:
     """Require what was signed after what it replaces, after a denial, and not ahead of time."""
     said = item.preapproval
     if said.uses and said.issued_ms > act.now.utc_ms + SKEW_MS:
@@ -96,7 +98,11 @@ def _require_new(act: Act, item: VerifiedPreApproval) -> None:
 
 
 def _require_narrow(
-    act: Act, said: PreApproval, verified: VerifiedMission, grant: Grant, parts: Parts
+    act: Transaction,
+    said: PreApproval,
+    verified: VerifiedMission,
+    grant: Grant,
+    parts: ManagementParts,
 ) -> None:
     """Require rows of the grant, the second line of `eq:threshold` at most, few uses and an end."""
     if [*said.rows] != sorted({*said.rows}) or said.rows[-1] >= len(grant.alternatives):
@@ -120,7 +126,11 @@ def _require_narrow(
 
 
 def _require_eligible(
-    signer: Principal, said: PreApproval, verified: VerifiedMission, grant: Grant, parts: Parts
+    signer: Principal,
+    said: PreApproval,
+    verified: VerifiedMission,
+    grant: Grant,
+    parts: ManagementParts,
 ) -> None:
     """Require somebody who could answer a request of these rows, and is not the issuer."""
     rows = [grant.alternatives[number] for number in said.rows]

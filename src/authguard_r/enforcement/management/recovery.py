@@ -11,28 +11,28 @@ from authguard_r.core.identifiers import Digest
 from authguard_r.core.lifecycle import TERMINAL, Event
 from authguard_r.core.mission import Grant
 from authguard_r.core.standing import Outcome, advance, finish, settle
-from authguard_r.enforcement.management.parts import Parts, entry
+from authguard_r.enforcement.management.parts import ManagementParts, entry
 from authguard_r.safety.stored_memory import settle_memory
-from authguard_r.store.transactions import Act
+from authguard_r.store.transactions import Transaction
 
 _KIND, _KEY = "gate", "running"
 #: What a clean stop leaves; anything else says that nobody stopped cleanly.
 _STOPPED, _RUNNING = b"0", b"1"
 
 
-def mark_started(act: Act) -> bool:
+def mark_started(act: Transaction) -> bool:
     """Mark this gate as running, and return whether the last one never said that it stopped."""
     held = act.get(_KIND, _KEY)
     act.put(_KIND, _KEY, _RUNNING)
     return held not in {None, _STOPPED}
 
 
-def mark_stopped(act: Act) -> None:
+def mark_stopped(act: Transaction) -> None:
     """Mark that everything was put away."""
     act.put(_KIND, _KEY, _STOPPED)
 
 
-def recover(act: Act, *, unclean: bool, parts: Parts) -> tuple[Digest, ...]:
+def recover(act: Transaction, *, unclean: bool, parts: ManagementParts) -> tuple[Digest, ...]:
     """Settle what attested state settles; suspend for the rest, or because of how it stopped."""
     mid = act.active()
     standing = act.standing(mid) if mid is not None else None
@@ -60,7 +60,7 @@ def recover(act: Act, *, unclean: bool, parts: Parts) -> tuple[Digest, ...]:
     return tuple(release.ticket for release in standing.open)
 
 
-def _is_done(grant: Grant, act: Act, parts: Parts) -> bool:
+def _is_done(grant: Grant, act: Transaction, parts: ManagementParts) -> bool:
     rid, state = parts.facts.robot.rid, parts.intake.state
     return bool(grant.done_when) and all(
         guard_finding(guard, state, rid, act.now) is None for guard in grant.done_when

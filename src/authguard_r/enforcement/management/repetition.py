@@ -19,7 +19,7 @@ from authguard_r.core.standing import advance
 from authguard_r.core.token import open_token
 from authguard_r.enforcement.inputs import ISSUER_ROLES
 from authguard_r.enforcement.management.parts import (
-    Parts,
+    ManagementParts,
     entry,
     refuse,
     require_signed_since,
@@ -27,9 +27,9 @@ from authguard_r.enforcement.management.parts import (
 )
 from authguard_r.enforcement.signed_orders import NARROWING, Command, Verb
 from authguard_r.enforcement.templates import (
+    InstancePair,
     Instantiated,
     KeptTemplate,
-    Pair,
     Template,
     TemplateStanding,
     claimed,
@@ -40,7 +40,7 @@ from authguard_r.enforcement.templates import (
 )
 from authguard_r.enforcement.templates.confirmation import template_inputs
 from authguard_r.store.issued_missions import registered
-from authguard_r.store.transactions import Act, read_held
+from authguard_r.store.transactions import Transaction, read_held
 
 
 class Used(Struct, frozen=True, kw_only=True):
@@ -59,9 +59,9 @@ class Used(Struct, frozen=True, kw_only=True):
     def pair(self, token: bytes) -> bytes:
         """Return what is held under the mission's digest: both tokens, to be verified again."""
         text = token.decode("ascii").strip()
-        return encode_fast(Pair(instance=text, template=self.kept.token))
+        return encode_fast(InstancePair(instance=text, template=self.kept.token))
 
-    def hold(self, act: Act) -> None:
+    def hold(self, act: Transaction) -> None:
         """Count the instance, in the commit that makes its mission the active one."""
         act.put("template", self.made.template.digest, encode_fast(self.kept))
 
@@ -80,7 +80,7 @@ class Used(Struct, frozen=True, kw_only=True):
         return {**opened, "instance": self.kept.used} if self.is_counted else opened
 
 
-def use_instance(act: Act, token: bytes, parts: Parts) -> Used:
+def use_instance(act: Transaction, token: bytes, parts: ManagementParts) -> Used:
     """Return the mission of an instance, counted once against what its template allows."""
     made, kept = parts.intake.verify_instance(token, act)
     here = registered(act, made.mission.mission.mid, made.mission.digest)
@@ -98,7 +98,9 @@ def use_instance(act: Act, token: bytes, parts: Parts) -> Used:
     return Used(made=made, kept=counted)
 
 
-def admit(act: Act, token: bytes, confirmation: bytes | None, *, parts: Parts) -> TemplateStanding:
+def admit(
+    act: Transaction, token: bytes, confirmation: bytes | None, *, parts: ManagementParts
+) -> TemplateStanding:
     """Keep an authentic template that this robot could carry out, once."""
     verified = parts.intake.verify_template(token, act)
     template = verified.template
@@ -126,7 +128,7 @@ def admit(act: Act, token: bytes, confirmation: bytes | None, *, parts: Parts) -
     return _standing(template, verified.digest, kept)
 
 
-def withdraw(act: Act, token: bytes, *, parts: Parts) -> TemplateStanding:
+def withdraw(act: Transaction, token: bytes, *, parts: ManagementParts) -> TemplateStanding:
     """Make nothing of a template any more, and revoke the active mission that it made."""
     command, _, signer = open_token(
         token, Command, tag=Tag.COMMAND, roles=ISSUER_ROLES, verifier=parts.verifier, now=act.now
@@ -160,14 +162,14 @@ def withdraw(act: Act, token: bytes, *, parts: Parts) -> TemplateStanding:
     return _standing(template, command.mission, gone)
 
 
-def require_fresh(act: Act, command: Command) -> None:
+def require_fresh(act: Transaction, command: Command) -> None:
     """Refuse an order that ran out, was carried out before, or may be one of a lost log."""
     require_timely(act, command, "command", is_narrowing=command.verb in NARROWING)
     if command.verb not in NARROWING and command.verb not in {Verb.ACCEPT_STORE, Verb.SHRED}:
         require_signed_since(act, command.issued_ms)
 
 
-def _revoke_active(act: Act, template: Digest) -> None:
+def _revoke_active(act: Transaction, template: Digest) -> None:
     """Revoke the active mission when this template made it; it leaves a record of its own."""
     mid = act.active()
     standing = act.standing(mid) if mid is not None else None
@@ -176,7 +178,7 @@ def _revoke_active(act: Act, template: Digest) -> None:
     held = act.token(standing.digest)
     if held is None or not is_pair(held):
         return
-    pair = read_held(held, Pair, "token")
+    pair = read_held(held, InstancePair, "token")
     revoked = advance(standing, Event.REVOKE)
     if claimed_template(pair.instance.encode("utf-8")) != template or revoked is None:
         return

@@ -11,7 +11,7 @@ from __future__ import annotations
 from msgspec import Struct
 from msgspec.structs import replace
 
-from authguard_r.anchoring.anchor import Why
+from authguard_r.anchoring.anchor import Discrepancy
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.identifiers import Count, Digest, MissionId
 from authguard_r.core.lifecycle import TERMINAL, Event, Status
@@ -21,7 +21,7 @@ from authguard_r.core.standing import Standing, advance
 from authguard_r.core.token import VerifiedMission, open_token
 from authguard_r.enforcement.inputs import ISSUER_ROLES
 from authguard_r.enforcement.management.parts import (
-    Parts,
+    ManagementParts,
     accepted_ms,
     entry,
     hold_acceptance,
@@ -29,7 +29,7 @@ from authguard_r.enforcement.management.parts import (
 )
 from authguard_r.enforcement.management.repetition import require_fresh
 from authguard_r.enforcement.signed_orders import Command, Verb
-from authguard_r.store.transactions import Act
+from authguard_r.store.transactions import Transaction
 
 #: Requests are numbered on from so much later: no answer to a lost one fits a new one.
 _LEAP = 1 << 32
@@ -51,7 +51,7 @@ class AcceptedStore(Struct, frozen=True, kw_only=True):
     status: Status | None = None
 
 
-def accept_store(act: Act, token: bytes, *, parts: Parts) -> AcceptedStore:
+def accept_store(act: Transaction, token: bytes, *, parts: ManagementParts) -> AcceptedStore:
     """Carry out a signed order to go on with this store, once; its counter comes after."""
     command, _, signer = open_token(
         token, Command, tag=Tag.COMMAND, roles=ISSUER_ROLES, verifier=parts.verifier, now=act.now
@@ -67,7 +67,7 @@ def accept_store(act: Act, token: bytes, *, parts: Parts) -> AcceptedStore:
     if anchor.why is None:
         text = "nothing is to be accepted: the store agrees with what is outside of it"
         raise refuse(Reason.TRANSITION_REFUSED, text, "store")
-    if anchor.why is Why.COUNTER_UNREADABLE:
+    if anchor.why is Discrepancy.COUNTER_UNREADABLE:
         text = "the counter has to be readable first: look at `--counter` and its mount, restart"
         raise refuse(Reason.TRANSITION_REFUSED, text, "store")
     row = act.rows(claim.size - 1, 1)
@@ -94,7 +94,7 @@ def accept_store(act: Act, token: bytes, *, parts: Parts) -> AcceptedStore:
     )
 
 
-def _put_to_rest(act: Act, parts: Parts) -> Standing | None:
+def _put_to_rest(act: Transaction, parts: ManagementParts) -> Standing | None:
     """Suspend what is active, and drop what was asked, chosen and pre-approved; end what closes."""
     mid = act.active()
     standing = None if mid is None else act.standing(mid)
@@ -112,7 +112,7 @@ def _put_to_rest(act: Act, parts: Parts) -> Standing | None:
     return after
 
 
-def require_later(act: Act, verified: VerifiedMission) -> None:
+def require_later(act: Transaction, verified: VerifiedMission) -> None:
     """Refuse a mission that the lost part of the log may have used up already.
 
     Raises:

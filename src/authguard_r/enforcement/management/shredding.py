@@ -27,7 +27,7 @@ from authguard_r.audit.record import (
     read_record,
     read_sealed,
 )
-from authguard_r.audit.sealed_envelopes import SEALING, Box
+from authguard_r.audit.sealed_envelopes import SEALING, SealedEnvelope
 from authguard_r.core.encoding import Tag, b64, encode
 from authguard_r.core.errors import AuthGuardError, MalformedError, StoreError
 from authguard_r.core.identifiers import Count, MissionId
@@ -39,10 +39,10 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.token import open_token
 from authguard_r.enforcement.management.activation import end_issued, lapsed
 from authguard_r.enforcement.management.answers import LATE
-from authguard_r.enforcement.management.parts import Parts, entry, refuse
+from authguard_r.enforcement.management.parts import ManagementParts, entry, refuse
 from authguard_r.enforcement.management.repetition import require_fresh
 from authguard_r.enforcement.signed_orders import Command, Verb
-from authguard_r.store.transactions import Act, read_held
+from authguard_r.store.transactions import Transaction, read_held
 
 #: Who may order it: whoever says who reads, and for how long.
 ROLES = frozenset({"site_authority"})
@@ -56,6 +56,10 @@ _MOST_KEYS = 4_096
 _MOST_DUE, _MOST_BEGUN = 16, 4
 #: How long one set of keys of no mission is used where retention ends.
 DAY_MS = 86_400_000
+
+
+#: Classes of sealed fields.
+_Classes = tuple[DataClass, ...]
 
 
 class Shredding(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -72,7 +76,7 @@ class Shredding(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """
 
     mid: str
-    classes: tuple[DataClass, ...]
+    classes: _Classes
     keys: tuple[int, ...]
     at: Count
     end: Count
@@ -102,7 +106,7 @@ class Retired(Struct, frozen=True, kw_only=True):
     stuck: tuple[MissionId, ...] = ()
 
 
-def shred(act: Act, token: bytes, *, parts: Parts) -> Shredding:
+def shred(act: Transaction, token: bytes, *, parts: ManagementParts) -> Shredding:
     """Carry out a signed order to destroy classes of a mission's sealed fields, once."""
     command, _, signer = open_token(
         token, Command, tag=Tag.COMMAND, roles=ROLES, verifier=parts.verifier, now=act.now
@@ -126,7 +130,7 @@ def shred(act: Act, token: bytes, *, parts: Parts) -> Shredding:
     return _begin(act, mid, command.shreds, keys, replace(told, sealed={"command": command}))
 
 
-def retire(act: Act, *, parts: Parts) -> Retired:
+def retire(act: Transaction, *, parts: ManagementParts) -> Retired:
     """Destroy what was kept as long as the signed retention says; some of it, at most.
 
     A mission's own times count in place of the gate's, within the gate's bounds. A mission that
@@ -163,7 +167,7 @@ def is_shredding(turn: Turn) -> bool:
     return bool(turn.get(_KIND, _JOBS))
 
 
-def shred_on(act: Act) -> bool:
+def shred_on(act: Transaction) -> bool:
     """Destroy the boxes of some records, of which there are; return whether any are left."""
     job, *rest = _jobs(act)
     at, gone, emptied = job.at, 0, 0
@@ -188,7 +192,7 @@ def shred_on(act: Act) -> bool:
     return bool(rest)
 
 
-def _meant(act: Act, mid: MissionId, parts: Parts) -> str:
+def _meant(act: Transaction, mid: MissionId, parts: ManagementParts) -> str:
     """Return the mission that an order names, `-` for the records of none.
 
     Raises:
@@ -206,7 +210,7 @@ def _meant(act: Act, mid: MissionId, parts: Parts) -> str:
 
 
 def _required(
-    act: Act, mid: str, classes: tuple[DataClass, ...], parts: Parts
+    act: Transaction, mid: str, classes: _Classes, parts: ManagementParts
 ) -> tuple[_Keys, ...]:
     """Return the keys that may be destroyed now.
 
@@ -240,7 +244,7 @@ def _required(
     return ripe
 
 
-def _over_ms(act: Act, mid: MissionId, parts: Parts) -> int:
+def _over_ms(act: Transaction, mid: MissionId, parts: ManagementParts) -> int:
     """Return when the newest version of a mission expires.
 
     Raises:
@@ -253,7 +257,7 @@ def _over_ms(act: Act, mid: MissionId, parts: Parts) -> int:
     return parts.intake.held(act, standing.digest).expiry_ms
 
 
-def _ripe(act: Act, mid: MissionId, parts: Parts) -> tuple[DataClass, ...] | None:
+def _ripe(act: Transaction, mid: MissionId, parts: ManagementParts) -> _Classes | None:
     """Return the classes of a mission that have no more time; None: the store cannot say it."""
     try:
         times = stored_policy.retention_of(act, mid, parts.sealing)
@@ -265,18 +269,18 @@ def _ripe(act: Act, mid: MissionId, parts: Parts) -> tuple[DataClass, ...] | Non
     return ripe
 
 
-def _is_over(act: Act, mid: MissionId, ripe: tuple[DataClass, ...], parts: Parts) -> bool:
+def _is_over(act: Transaction, mid: MissionId, ripe: _Classes, parts: ManagementParts) -> bool:
     """Return whether no class of a mission has an end to come; without any time, one may come."""
     every = len(ripe) == len(stored_policy.retention_of(act, mid, parts.sealing))
     return bool(ripe) and every and not _told(act, mid, ripe)
 
 
-def _told(act: Act, mid: MissionId, classes: tuple[DataClass, ...]) -> tuple[DataClass, ...]:
+def _told(act: Transaction, mid: MissionId, classes: _Classes) -> _Classes:
     """Return those of the classes whose keys are told for a mission."""
     return tuple(data for data in classes if _keys(act, mid, (data,), most=1))
 
 
-def _end(act: Act, mid: MissionId, parts: Parts) -> bool:
+def _end(act: Transaction, mid: MissionId, parts: ManagementParts) -> bool:
     """Let go of a mission that is over, or that expired and that nobody ended.
 
     Returns:
@@ -292,9 +296,7 @@ def _end(act: Act, mid: MissionId, parts: Parts) -> bool:
     return True
 
 
-def _retired(
-    act: Act, mid: str, classes: tuple[DataClass, ...], until_ms: int
-) -> Iterator[Shredding]:
+def _retired(act: Transaction, mid: str, classes: _Classes, until_ms: int) -> Iterator[Shredding]:
     """Begin to destroy what has no more time.
 
     Args:
@@ -314,9 +316,9 @@ def _retired(
 
 
 def _keys(
-    act: Act,
+    act: Transaction,
     mid: str,
-    classes: tuple[DataClass, ...],
+    classes: _Classes,
     *,
     most: int = _MOST_KEYS,
     whole: bool = True,
@@ -351,7 +353,7 @@ def _keys(
 
 
 def _begin(
-    act: Act, mid: str, classes: tuple[DataClass, ...], keys: tuple[_Keys, ...], told: Entry
+    act: Transaction, mid: str, classes: _Classes, keys: tuple[_Keys, ...], told: Entry
 ) -> Shredding:
     """Destroy the wrapped keys, and note what is left to do; the record is of no mission."""
     for key in keys:
@@ -376,7 +378,7 @@ def _begin(
     return job
 
 
-def _emptied(act: Act, job: Shredding, row: tuple[int, bytes, bytes, bytes]) -> int:
+def _emptied(act: Transaction, job: Shredding, row: tuple[int, bytes, bytes, bytes]) -> int:
     """Let the boxes of one record go, with what the store holds beside the log."""
     seq, written, beside, _ = row
     if BOX.encode() not in beside:
@@ -402,7 +404,7 @@ def _emptied(act: Act, job: Shredding, row: tuple[int, bytes, bytes, bytes]) -> 
     return len(names)
 
 
-def _read(act: Act, seq: int) -> tuple[Record, dict[str, Sealed]]:
+def _read(act: Transaction, seq: int) -> tuple[Record, dict[str, Sealed]]:
     rows = act.rows(seq, 1)
     if not rows:
         raise _corrupt("the log has no such record", seq)
@@ -417,9 +419,9 @@ def _spelled(seq: int, written: bytes, beside: bytes) -> tuple[Record, dict[str,
         raise _corrupt(error.message, seq) from error
 
 
-def _box(seq: int, sealed: Sealed) -> Box:
+def _box(seq: int, sealed: Sealed) -> SealedEnvelope:
     try:
-        return msgspec.convert(sealed.value, Box)
+        return msgspec.convert(sealed.value, SealedEnvelope)
     except msgspec.ValidationError as error:
         raise _corrupt(f"expected a box: {error}", seq) from error
 
@@ -428,7 +430,7 @@ def _corrupt(text: str, seq: int) -> StoreError:
     return StoreError(text, where=f"store.audit.{seq}", reason=Reason.STORE_CORRUPT)
 
 
-def _jobs(act: Act) -> tuple[Shredding, ...]:
+def _jobs(act: Transaction) -> tuple[Shredding, ...]:
     held = act.get(_KIND, _JOBS)
     jobs = read_held(held, tuple[Shredding, ...], _KIND) if held else ()
     if held and not jobs:  # what there is to destroy, nobody can say
@@ -437,5 +439,5 @@ def _jobs(act: Act) -> tuple[Shredding, ...]:
     return jobs
 
 
-def _hold_jobs(act: Act, jobs: tuple[Shredding, ...]) -> None:
+def _hold_jobs(act: Transaction, jobs: tuple[Shredding, ...]) -> None:
     act.put(_KIND, _JOBS, encode(jobs) if jobs else b"")

@@ -29,8 +29,8 @@ from authguard_r.enforcement.templates.mission_cache import (
 )
 from authguard_r.enforcement.templates.template import Hole, HoleKind, Template, require_sound
 from authguard_r.enforcement.templates.template_store import (
+    InstancePair,
     KeptTemplate,
-    Pair,
     TemplateStanding,
     is_pair,
 )
@@ -42,9 +42,9 @@ __all__ = [
     "Hole",
     "HoleKind",
     "Instance",
+    "InstancePair",
     "Instantiated",
     "KeptTemplate",
-    "Pair",
     "Template",
     "TemplateStanding",
     "VerifiedTemplate",

@@ -16,7 +16,7 @@ from authguard_r.core.errors import RefusedError
 from authguard_r.core.identifiers import Count, Digest, PrincipalId
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
-from authguard_r.enforcement.confirmation import How, LintCode
+from authguard_r.enforcement.confirmation import ConfirmationMode, LintCode
 from authguard_r.enforcement.templates.template import Template, TemplateId
 
 
@@ -42,14 +42,19 @@ class TemplateConfirmation(
     template: TemplateId
     by: PrincipalId
     at_ms: Count
-    how: How
+    how: ConfirmationMode
     shown: bool
     card: Digest | None = None
     accepted: tuple[LintCode, ...] = ()
 
 
 def confirm_template(
-    template: Template, *, card: Digest | None, how: How, accepted: tuple[LintCode, ...], now: Now
+    template: Template,
+    *,
+    card: Digest | None,
+    how: ConfirmationMode,
+    accepted: tuple[LintCode, ...],
+    now: Now,
 ) -> TemplateConfirmation:
     """Return the record of a template being signed now by its issuer."""
     return TemplateConfirmation(

@@ -20,7 +20,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.token import read_token
 from authguard_r.enforcement.templates.instance import Instance, covered
 from authguard_r.enforcement.templates.template import Template, require_sound
-from authguard_r.enforcement.templates.template_store import Pair, is_pair
+from authguard_r.enforcement.templates.template_store import InstancePair, is_pair
 
 T = TypeVar("T")
 
@@ -110,7 +110,7 @@ def held_mission(held: bytes, digest: Digest) -> HeldMission:
 def _read(held: bytes) -> Mission:
     if not is_pair(held):
         return claimed_mission(held)
-    pair = decode(held, Pair, where="token")
+    pair = decode(held, InstancePair, where="token")
     return claimed_mission(pair.instance.encode("utf-8"), pair.template.encode("utf-8"))
 
 

@@ -52,11 +52,13 @@ class HoleKind(StrEnum):
     INTEGER = "integer"
 
 
-class _Signed(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
+class _SignedTemplate(
+    Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True
+):
     """The manner of every signed struct: closed, immutable, one spelling."""
 
 
-class Hole(_Signed, frozen=True, kw_only=True):
+class Hole(_SignedTemplate, frozen=True, kw_only=True):
     """A name for one value of a finite set.
 
     Args:
@@ -68,7 +70,7 @@ class Hole(_Signed, frozen=True, kw_only=True):
     values: Annotated[tuple[Value, ...], Meta(min_length=1, max_length=256)]
 
 
-class Template(_Signed, frozen=True, kw_only=True):
+class Template(_SignedTemplate, frozen=True, kw_only=True):
     """What an operator signs once for many missions.
 
     Args:

@@ -56,7 +56,7 @@ class TemplateStanding(Struct, frozen=True, kw_only=True):
     withdrawn: bool
 
 
-class Pair(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class InstancePair(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """What a mission made of a template is verified from: held where a mission's token is."""
 
     instance: str

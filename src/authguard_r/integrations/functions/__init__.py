@@ -6,7 +6,7 @@ How-to: docs/howto/adapters.md
 
 from __future__ import annotations
 
-from authguard_r.integrations.functions.guard import Guard
+from authguard_r.integrations.functions.guard import GateGuard
 from authguard_r.integrations.functions.outcomes import Failed, NotDone, Refused, Repeated
 
-__all__ = ["Failed", "Guard", "NotDone", "Refused", "Repeated"]
+__all__ = ["Failed", "GateGuard", "NotDone", "Refused", "Repeated"]

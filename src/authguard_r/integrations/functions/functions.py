@@ -23,7 +23,7 @@ from typing import Any
 
 from msgspec import Struct, field
 
-from authguard_r.client.controller import Told
+from authguard_r.client.controller import ExecutionNews
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Digest
 from authguard_r.integrations.functions.values import (
@@ -34,7 +34,7 @@ from authguard_r.integrations.functions.values import (
     sendable,
     words_of,
 )
-from authguard_r.integrations.tools.server import WITHHELD, Answer, CallError, fits
+from authguard_r.integrations.tools.server import WITHHELD, CallError, ToolAnswer, fits
 
 #: Most returned values that wait for their callers.
 MAX_KEPT = 64
@@ -42,7 +42,7 @@ MAX_KEPT = 64
 CLOSE_S = 2.0
 
 
-class Tool(Struct, frozen=True, kw_only=True):
+class FunctionTool(Struct, frozen=True, kw_only=True):
     """A function that is a tool.
 
     Args:
@@ -62,7 +62,7 @@ class Tool(Struct, frozen=True, kw_only=True):
     fields: Fields = fields_of
 
 
-class Caller(Struct, frozen=True, kw_only=True):
+class WaitingCaller(Struct, frozen=True, kw_only=True):
     """Who waits for a call in this process.
 
     Args:
@@ -94,7 +94,7 @@ class Caller(Struct, frozen=True, kw_only=True):
         return await asyncio.shield(asyncio.wrap_future(self.ticket)) == ticket
 
 
-class Kept(Struct, frozen=True, kw_only=True):
+class FunctionResult(Struct, frozen=True, kw_only=True):
     """What came of a function's call.
 
     Args:
@@ -106,7 +106,7 @@ class Kept(Struct, frozen=True, kw_only=True):
     text: str = ""
 
 
-class Run:
+class CallRun:
     """One call while it is carried out."""
 
     def __init__(self) -> None:
@@ -114,7 +114,7 @@ class Run:
 
 
 #: The call that the running code is part of.
-INSIDE: contextvars.ContextVar[Run | None] = contextvars.ContextVar("authguard", default=None)
+INSIDE: contextvars.ContextVar[CallRun | None] = contextvars.ContextVar("authguard", default=None)
 
 
 class Functions:
@@ -125,11 +125,11 @@ class Functions:
     """
 
     def __init__(self, changed: Callable[[], None]) -> None:
-        self.tools: dict[str, Tool] = {}
-        self.caller: Caller | None = None  # whose turn it is
+        self.tools: dict[str, FunctionTool] = {}
+        self.caller: WaitingCaller | None = None  # whose turn it is
         self._changed = changed
-        self._kept: OrderedDict[str, Kept] = OrderedDict()
-        self._left: set[Run] = set()  # called off, and still running
+        self._kept: OrderedDict[str, FunctionResult] = OrderedDict()
+        self._left: set[CallRun] = set()  # called off, and still running
         self._own = OwnLoop()
 
     @property
@@ -144,7 +144,7 @@ class Functions:
         within_s: float,
         *,
         ticket: Digest | None = None,
-    ) -> Answer:
+    ) -> ToolAnswer:
         """Call a function, for the caller whose release it is; for nobody when it is another's.
 
         Raises:
@@ -157,13 +157,15 @@ class Functions:
             async with asyncio.timeout(within_s):
                 caller = self.caller
                 if caller is None or not await caller.waits_for(ticket):
-                    caller = Caller(tool=tool, beside={}, context=contextvars.Context())
+                    caller = WaitingCaller(tool=tool, beside={}, context=contextvars.Context())
                 kept = await self.carry(found, arguments, caller)
         except TimeoutError as error:
             raise CallError("it did not end in time", sent=True) from error
         return self._answer(found, kept)
 
-    async def carry(self, tool: Tool, arguments: dict[str, Any], caller: Caller) -> Kept:
+    async def carry(
+        self, tool: FunctionTool, arguments: dict[str, Any], caller: WaitingCaller
+    ) -> FunctionResult:
         """Call a function and return what came of it.
 
         Args:
@@ -175,7 +177,7 @@ class Functions:
             CallError: it cannot be called so; nothing was done.
         """
         given = called_with(tool, arguments, caller.beside)
-        run, here = Run(), asyncio.get_running_loop()
+        run, here = CallRun(), asyncio.get_running_loop()
 
         def ended() -> None:
             run.over = True
@@ -193,11 +195,11 @@ class Functions:
 
     def _begun(
         self,
-        tool: Tool,
+        tool: FunctionTool,
         given: inspect.BoundArguments,
-        caller: Caller,
+        caller: WaitingCaller,
         ended: Callable[[], None],
-    ) -> Future[Kept]:
+    ) -> Future[FunctionResult]:
         """Begin a call: awaited in the caller's own loop, or called in a thread of its own."""
         function, coroutine = tool.function, tool.coroutine
         if function is not None and (coroutine is None or caller.loop is None):
@@ -210,31 +212,31 @@ class Functions:
         except RuntimeError as error:
             raise CallError("the caller's event loop is closed", sent=False) from error
 
-    def _ended(self, run: Run) -> None:
+    def _ended(self, run: CallRun) -> None:
         if run in self._left:
             self._left.discard(run)
             self._changed()
 
-    def _answer(self, tool: Tool, kept: Kept) -> Answer:
+    def _answer(self, tool: FunctionTool, kept: FunctionResult) -> ToolAnswer:
         number, fields = secrets.token_hex(16), None
         if not kept.text:
             try:
                 texts, fields = sendable(tool.words(kept.value)), tool.fields(kept.value)
             except Exception as error:  # noqa: BLE001 - the value's own code
-                kept = Kept(value=error, text=named(error))
+                kept = FunctionResult(value=error, text=named(error))
         if kept.text:
             texts = sendable((kept.text,))
         is_error = bool(kept.text)
         told = told_of(number, texts)
         if not fits(told):
-            kept = Kept(value=None, text=WITHHELD)
+            kept = FunctionResult(value=None, text=WITHHELD)
             told = told_of(number, (WITHHELD,))
         self._kept[number] = kept
         while len(self._kept) > MAX_KEPT:
             self._kept.popitem(last=False)
-        return Answer(is_error=is_error, structured=fields, text="\n".join(texts), told=told)
+        return ToolAnswer(is_error=is_error, structured=fields, text="\n".join(texts), told=told)
 
-    def take(self, content: bytes) -> Kept:
+    def take(self, content: bytes) -> FunctionResult:
         """Return what came of a call, once.
 
         Args:
@@ -290,7 +292,7 @@ async def _canceled(tasks: set[asyncio.Task[Any]]) -> None:
 
 
 def called_with(
-    tool: Tool, arguments: dict[str, Any], beside: Mapping[str, Any]
+    tool: FunctionTool, arguments: dict[str, Any], beside: Mapping[str, Any]
 ) -> inspect.BoundArguments:
     """Return how a function is called; what was authorized comes before what is beside it.
 
@@ -314,16 +316,16 @@ def in_thread(
     given: inspect.BoundArguments,
     context: contextvars.Context,
     ended: Callable[[], None],
-) -> Future[Kept]:
+) -> Future[FunctionResult]:
     """Call a function in a thread that ends with the process, whatever it does."""
-    found: Future[Kept] = Future()
+    found: Future[FunctionResult] = Future()
     found.set_running_or_notify_cancel()
 
     def work() -> None:
         try:
             kept = kept_of(context.run(function, *given.args, **given.kwargs))
         except BaseException as error:  # noqa: BLE001 - the thread is the function's
-            kept = Kept(value=error, text=named(error))
+            kept = FunctionResult(value=error, text=named(error))
         finally:
             ended()
         found.set_result(kept)
@@ -338,24 +340,24 @@ def in_loop(
     given: inspect.BoundArguments,
     context: contextvars.Context,
     ended: Callable[[], None],
-) -> Future[Kept]:
+) -> Future[FunctionResult]:
     """Await a function in a loop of another thread; canceling the answer cancels it there.
 
     Raises:
         RuntimeError: the loop is closed.
     """
-    found: Future[Kept] = Future()
+    found: Future[FunctionResult] = Future()
 
-    async def work() -> Kept:
+    async def work() -> FunctionResult:
         try:
             return kept_of(await coroutine(*given.args, **given.kwargs))
         except Exception as error:  # noqa: BLE001 - the function's own
-            return Kept(value=error, text=named(error))
+            return FunctionResult(value=error, text=named(error))
 
-    def over(task: asyncio.Task[Kept]) -> None:
+    def over(task: asyncio.Task[FunctionResult]) -> None:
         ended()
         error = asyncio.CancelledError() if task.cancelled() else task.exception()
-        kept = task.result() if error is None else Kept(value=error, text=named(error))
+        kept = task.result() if error is None else FunctionResult(value=error, text=named(error))
         with suppress(InvalidStateError):  # it was called off; nobody waits any more
             found.set_result(kept)
 
@@ -363,7 +365,7 @@ def in_loop(
         task = loop.create_task(work())
         task.add_done_callback(over)
 
-        def call_off(_: Future[Kept]) -> None:
+        def call_off(_: Future[FunctionResult]) -> None:
             with suppress(RuntimeError):  # that loop is closed
                 loop.call_soon_threadsafe(task.cancel)
 
@@ -373,18 +375,20 @@ def in_loop(
     return found
 
 
-def kept_of(value: Any) -> Kept:
+def kept_of(value: Any) -> FunctionResult:
     """Return what a function returned; work that is still to be done is none."""
     if is_lazy(value):
         if inspect.iscoroutine(value):
             value.close()
-        return Kept(value=None, text="expected a value, got work that is still to be done")
-    return Kept(value=value)
+        return FunctionResult(
+            value=None, text="expected a value, got work that is still to be done"
+        )
+    return FunctionResult(value=value)
 
 
-def told_of(number: str, texts: tuple[str, ...]) -> Told:
+def told_of(number: str, texts: tuple[str, ...]) -> ExecutionNews:
     """Return what goes through the gate: the number of what is kept, and its words."""
-    return Told(json.dumps({"number": number, "texts": texts}).encode(), texts)
+    return ExecutionNews(json.dumps({"number": number, "texts": texts}).encode(), texts)
 
 
 def named(error: BaseException) -> str:

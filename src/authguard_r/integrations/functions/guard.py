@@ -19,12 +19,18 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, ParamSpec, Self, TypeVar, overload
 
-from authguard_r.client.link import Log
+from authguard_r.client.link import ProcessLog
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault, MalformedError
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.reasons import Reason
 from authguard_r.integrations.functions.background import Background
-from authguard_r.integrations.functions.functions import INSIDE, Caller, Functions, Kept, Tool
+from authguard_r.integrations.functions.functions import (
+    INSIDE,
+    FunctionResult,
+    Functions,
+    FunctionTool,
+    WaitingCaller,
+)
 from authguard_r.integrations.functions.outcomes import (
     Failed,
     Repeated,
@@ -42,9 +48,9 @@ from authguard_r.integrations.functions.values import (
     sendable,
     words_of,
 )
-from authguard_r.integrations.tools.endpoints import START_S, Ends, Place
+from authguard_r.integrations.tools.endpoints import START_S, Ends, GateTarget
 from authguard_r.integrations.tools.files import given_binding, trusted_site
-from authguard_r.integrations.tools.planner import Asked, LostError
+from authguard_r.integrations.tools.planner import CallOutcome, LostError
 from authguard_r.integrations.tools.server import CallError
 from authguard_r.keys.trust import read_trust
 from authguard_r.normalize.dialects import Call
@@ -53,17 +59,17 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-class Guard:
+class GateGuard:
     """A context manager; made by `connect`.
 
     Args:
         place: which robot and which gate.
     """
 
-    def __init__(self, place: Place) -> None:
+    def __init__(self, place: GateTarget) -> None:
         self._functions = Functions(self._look)
         self._registry = Registry(place, self._functions)
-        self._ends = Ends(place, self._functions, Log(), self._registry)
+        self._ends = Ends(place, self._functions, ProcessLog(), self._registry)
         self._shadow = place.shadow
         self._background = Background(self._ends)
 
@@ -103,7 +109,7 @@ class Guard:
         """
         anchor = read_trust(Path(trust))
         model = trusted_site(Path(site), anchor)
-        place = Place(
+        place = GateTarget(
             robot=RobotId(robot),
             run=Path(run),
             site=model,
@@ -273,7 +279,7 @@ class Guard:
         inside = INSIDE.get()
         if inside is not None and not inside.over:
             raise RuntimeError(f"`{tool}` was called by a guarded function: its turn never comes")
-        caller = Caller(
+        caller = WaitingCaller(
             tool=tool, beside=dict(beside or {}), context=contextvars.copy_context(), loop=loop
         )
         try:
@@ -284,11 +290,11 @@ class Guard:
 
     async def _asked(
         self,
-        tool: Tool,
+        tool: FunctionTool,
         written: dict[str, Any],
         arguments: dict[str, Any],
         key: str | None,
-        caller: Caller,
+        caller: WaitingCaller,
     ) -> Any:
         planner = self._ends.planner
         async with planner.turn:
@@ -307,7 +313,11 @@ class Guard:
         return self._value(asked)
 
     async def _beside(
-        self, tool: Tool, arguments: dict[str, Any], caller: Caller, asked: Asked
+        self,
+        tool: FunctionTool,
+        arguments: dict[str, Any],
+        caller: WaitingCaller,
+        asked: CallOutcome,
     ) -> Any:
         """Call the function whatever the gate said, and let it know what the planner sees."""
         report = {**report_of(asked), "shadow": True}
@@ -322,7 +332,7 @@ class Guard:
             raise Failed("what it returned could not be noted", report) from error
         return _handed(kept, report)
 
-    def _value(self, asked: Asked) -> Any:
+    def _value(self, asked: CallOutcome) -> Any:
         """Return what the function returned.
 
         Raises:
@@ -368,7 +378,7 @@ class Guard:
         self._ends.look()
 
 
-def _handed(kept: Kept, report: dict[str, Any]) -> Any:
+def _handed(kept: FunctionResult, report: dict[str, Any]) -> Any:
     """Return a value; what has none is a failure, with the exception that it came of."""
     if not kept.text:
         return kept.value

@@ -19,9 +19,9 @@ from typing import Any
 from pydantic import Field
 
 from authguard_r.core.errors import AuthGuardError, MalformedError
-from authguard_r.integrations.functions.guard import Guard
+from authguard_r.integrations.functions.guard import GateGuard
 from authguard_r.integrations.functions.outcomes import NotDone
-from authguard_r.integrations.functions.turns import Turn, register
+from authguard_r.integrations.functions.turns import CallTurn, register
 
 _approval: Any = import_module("inspect_ai.approval")
 _handoff: Any = import_module("inspect_ai.agent._handoff")
@@ -30,8 +30,8 @@ _tool: Any = import_module("inspect_ai.tool")
 _call: Any = import_module("inspect_ai.tool._tool_call")
 
 #: The call that was approved in this task and has not begun: tool, released arguments, turn.
-_APPROVED: contextvars.ContextVar[tuple[str, dict[str, Any], Turn] | None] = contextvars.ContextVar(
-    "authguard_approved", default=None
+_APPROVED: contextvars.ContextVar[tuple[str, dict[str, Any], CallTurn] | None] = (
+    contextvars.ContextVar("authguard_approved", default=None)
 )
 #: How a tool is asked for before it runs.
 _Ask = Callable[[dict[str, Any]], Awaitable[dict[str, Any]]]
@@ -43,7 +43,7 @@ class _View(_tool.ToolCallView):  # type: ignore[misc]
     ask: _Ask = Field(exclude=True)
 
 
-def guard_tools(guard: Guard, tools: Sequence[Any]) -> list[Any]:
+def guard_tools(guard: GateGuard, tools: Sequence[Any]) -> list[Any]:
     """Return tools that a model is shown alike, and that call nothing past the gate.
 
     A refusal is a tool error that the model is told.
@@ -81,20 +81,20 @@ def _definition(tool: Any) -> Any:
     return tool
 
 
-def _guarded(guard: Guard, definition: Any) -> Any:
+def _guarded(guard: GateGuard, definition: Any) -> Any:
     name = definition.name
 
     async def do(arguments: dict[str, Any]) -> Any:
         return await definition.tool(**_running.tool_params(arguments, definition.tool))
 
     async def ask(arguments: dict[str, Any]) -> dict[str, Any]:
-        turn = Turn(guard, name, arguments, waits=True)
+        turn = CallTurn(guard, name, arguments, waits=True)
         released = await turn.released()
         _APPROVED.set((name, released, turn))
         return released
 
     async def execute(**kwargs: Any) -> Any:
-        turn = _approved(name, kwargs) or Turn(guard, name, kwargs, waits=False)
+        turn = _approved(name, kwargs) or CallTurn(guard, name, kwargs, waits=False)
         try:
             return await turn.done()
         except (NotDone, AuthGuardError) as error:
@@ -118,7 +118,7 @@ def _guarded(guard: Guard, definition: Any) -> Any:
     ).as_tool()
 
 
-def _approved(name: str, arguments: dict[str, Any]) -> Turn | None:
+def _approved(name: str, arguments: dict[str, Any]) -> CallTurn | None:
     """Return the turn of the very call that was approved in this task; None: there is none.
 
     What came in between may have changed the call: then the approved one is given up.

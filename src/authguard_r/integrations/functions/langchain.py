@@ -30,7 +30,7 @@ from pydantic import PrivateAttr, SkipValidation
 from pydantic_core import PydanticSerializationError, to_jsonable_python
 
 from authguard_r.core.errors import AuthGuardError, MalformedError
-from authguard_r.integrations.functions.guard import Guard
+from authguard_r.integrations.functions.guard import GateGuard
 from authguard_r.integrations.functions.outcomes import NotDone, undecided
 from authguard_r.integrations.functions.values import fields_of, words_of
 
@@ -38,7 +38,7 @@ from authguard_r.integrations.functions.values import fields_of, words_of
 _BESIDE = "authguard_beside"
 
 
-class _Beside(Struct, frozen=True):
+class _LangChainContext(Struct, frozen=True):
     """What the framework gives a tool for one call, and no planner.
 
     Args:
@@ -50,7 +50,9 @@ class _Beside(Struct, frozen=True):
     injected: dict[str, Any]
 
 
-def guard_tools(guard: Guard, tools: Sequence[BaseTool], *, raises: bool = False) -> list[BaseTool]:
+def guard_tools(
+    guard: GateGuard, tools: Sequence[BaseTool], *, raises: bool = False
+) -> list[BaseTool]:
     """Return tools that a model is shown alike, and that call nothing past the gate.
 
     Args:
@@ -74,12 +76,14 @@ class GuardedTool(BaseTool):
 
     func: SkipValidation[Callable[..., Any] | None] = None
 
-    _guard: Guard = PrivateAttr()
+    _guard: GateGuard = PrivateAttr()
     _injected: frozenset[str] = PrivateAttr()
     _raises: bool = PrivateAttr()
 
     @classmethod
-    def of(cls, guard: Guard, tool: BaseTool, injected: frozenset[str], *, raises: bool) -> Self:
+    def of(
+        cls, guard: GateGuard, tool: BaseTool, injected: frozenset[str], *, raises: bool
+    ) -> Self:
         """Return the guarded one of a tool that is registered."""
         schema = tool.args_schema
         if schema is None:  # what a model is shown without one, written down
@@ -140,7 +144,7 @@ class GuardedTool(BaseTool):
         kwargs: dict[str, Any],
         config: RunnableConfig,
         child: BaseCallbackManager | None,
-    ) -> tuple[dict[str, Any], _Beside]:
+    ) -> tuple[dict[str, Any], _LangChainContext]:
         """Return what is proposed, and what the tool is given beside it."""
         names = [name for name in self.args if name not in self._injected]
         given = {**dict(zip(names, args, strict=False)), **kwargs}
@@ -153,7 +157,7 @@ class GuardedTool(BaseTool):
         more: RunnableConfig = {**(config or {})}
         if child is not None:
             more["callbacks"] = child
-        return plain, _Beside(more, injected)
+        return plain, _LangChainContext(more, injected)
 
     def _formed(self, found: Any) -> Any:
         if self.response_format != "content_and_artifact":
@@ -186,7 +190,7 @@ def _told(*, raises: bool) -> Iterator[None]:
         raise ToolException(str(error)) from error
 
 
-def _guarded(guard: Guard, tool: BaseTool, *, raises: bool) -> BaseTool:
+def _guarded(guard: GateGuard, tool: BaseTool, *, raises: bool) -> BaseTool:
     injected = _injected_of(tool)
     clash = sorted(injected & guard.decided(tool.name))
     if clash:
@@ -198,14 +202,14 @@ def _guarded(guard: Guard, tool: BaseTool, *, raises: bool) -> BaseTool:
     own = tool.model_copy(update={"handle_tool_error": False, "handle_validation_error": False})
     handler = tool.handle_tool_error
 
-    def call(*, authguard_beside: _Beside | None = None, **arguments: Any) -> Any:
+    def call(*, authguard_beside: _LangChainContext | None = None, **arguments: Any) -> Any:
         given, config = _call_of(own, arguments, authguard_beside)
         try:
             return _checked(own.invoke(given, config))
         except ToolException as error:
             raise _handled(error, handler) from error
 
-    async def acall(*, authguard_beside: _Beside | None = None, **arguments: Any) -> Any:
+    async def acall(*, authguard_beside: _LangChainContext | None = None, **arguments: Any) -> Any:
         given, config = _call_of(own, arguments, authguard_beside)
         try:
             return _checked(await own.ainvoke(given, config))
@@ -242,7 +246,7 @@ def _is_awaited(tool: BaseTool) -> bool:
 
 
 def _call_of(
-    tool: BaseTool, arguments: dict[str, Any], beside: _Beside | None
+    tool: BaseTool, arguments: dict[str, Any], beside: _LangChainContext | None
 ) -> tuple[dict[str, Any], RunnableConfig]:
     """Return how a tool is invoked: as a model's call where only that keeps its artifact."""
     injected = {} if beside is None else beside.injected

@@ -26,12 +26,12 @@ from agents.tool_context import ToolContext
 from msgspec import Struct
 
 from authguard_r.core.errors import AuthGuardError, MalformedError
-from authguard_r.integrations.functions.guard import Guard
+from authguard_r.integrations.functions.guard import GateGuard
 from authguard_r.integrations.functions.outcomes import NotDone, undecided
 from authguard_r.integrations.functions.texts import BESIDE, arguments_in, left_out, words_in
 
 
-class _Beside(Struct):
+class _SdkContext(Struct):
     """What the SDK has for one call.
 
     Args:
@@ -49,7 +49,7 @@ class _Worded(Exception):  # noqa: N818 - it carries what the model is told
     """A fault of a tool as its own failure function words it."""
 
 
-def guard_agent(guard: Guard, agent: Agent[Any]) -> Agent[Any]:
+def guard_agent(guard: GateGuard, agent: Agent[Any]) -> Agent[Any]:
     """Return an agent whose every tool is guarded.
 
     Raises:
@@ -68,7 +68,7 @@ def guard_agent(guard: Guard, agent: Agent[Any]) -> Agent[Any]:
     return agent.clone(tools=guard_tools(guard, agent.tools))
 
 
-def guard_tools(guard: Guard, tools: Sequence[Tool]) -> list[Tool]:
+def guard_tools(guard: GateGuard, tools: Sequence[Tool]) -> list[Tool]:
     """Return tools that a model is shown alike, and that call nothing past the gate.
 
     What the gate refuses is what the model is told, and the run goes on.
@@ -105,11 +105,11 @@ def _function_tool(tool: Tool) -> FunctionTool:
     return tool
 
 
-def _guarded(guard: Guard, tool: FunctionTool) -> FunctionTool:
+def _guarded(guard: GateGuard, tool: FunctionTool) -> FunctionTool:
     guard.register(tool.name, None, coroutine=_released(tool), words=words_in)
 
     async def ask(context: ToolContext[Any], text: str) -> Any:
-        beside = _Beside(context)
+        beside = _SdkContext(context)
         try:
             try:
                 written = arguments_in(text)
@@ -136,7 +136,7 @@ def _released(tool: FunctionTool) -> Any:
     own.timeout_seconds = None  # the guarded one waits so long; the binding says how long it runs
     set_function_tool_failure_error_function(own, None)  # the gate hears of a fault as one
 
-    async def work(*, authguard_beside: _Beside | None = None, **arguments: Any) -> Any:
+    async def work(*, authguard_beside: _SdkContext | None = None, **arguments: Any) -> Any:
         if authguard_beside is None:
             raise MalformedError("expected a call of the agent's", where=tool.name)
         text = json.dumps({**authguard_beside.nulls, **arguments})

@@ -14,7 +14,7 @@ from __future__ import annotations
 from typing import Any
 
 from authguard_r.core.errors import AuthGuardError
-from authguard_r.integrations.tools.planner import Asked
+from authguard_r.integrations.tools.planner import CallOutcome
 
 
 class NotDone(Exception):  # noqa: N818 - what it says, not what is wrong
@@ -48,7 +48,7 @@ class Repeated(NotDone):
     """It succeeded before under this key; what it returned is not told twice."""
 
 
-def refused(asked: Asked) -> Refused:
+def refused(asked: CallOutcome) -> Refused:
     """Return the refusal that the gate answered with."""
     return Refused("refused: " + ", ".join(asked.step["reasons"]), report_of(asked))
 
@@ -68,6 +68,6 @@ def lost(error: AuthGuardError) -> Failed:
     return Failed(f"unknown: the gate went while it was asked: {error.message}", report)
 
 
-def report_of(asked: Asked) -> dict[str, Any]:
+def report_of(asked: CallOutcome) -> dict[str, Any]:
     """Return what a caller is told of a call beside what came of it."""
     return {**asked.verdict, "execution": asked.execution, "repeated": asked.repeated}

@@ -30,12 +30,12 @@ from pydantic_ai.toolsets import (
 )
 
 from authguard_r.core.errors import AuthGuardError, MalformedError
-from authguard_r.integrations.functions.guard import Guard
+from authguard_r.integrations.functions.guard import GateGuard
 from authguard_r.integrations.functions.outcomes import NotDone, undecided
 from authguard_r.integrations.functions.texts import BESIDE, arguments_in, left_out, words_in
 
 
-class _Beside(Struct):
+class _PydanticContext(Struct):
     """What the framework has for one call.
 
     Args:
@@ -60,7 +60,7 @@ class _Names:
         self._names: set[str] = set()
         self._lock = Lock()
 
-    def register(self, guard: Guard, names: Iterable[str]) -> None:
+    def register(self, guard: GateGuard, names: Iterable[str]) -> None:
         """Register the tools that are new.
 
         Raises:
@@ -90,7 +90,7 @@ class _AsWritten:
         tool: whose arguments they are.
     """
 
-    def __init__(self, guard: Guard, tool: str) -> None:
+    def __init__(self, guard: GateGuard, tool: str) -> None:
         self._guard = guard
         self._tool = tool
 
@@ -132,11 +132,11 @@ class GuardedToolset(WrapperToolset[Any]):
             binding has no such tool.
     """
 
-    guard: Guard
+    guard: GateGuard
     names: _Names = field(default_factory=_Names, repr=False)
 
     def __init__(
-        self, guard: Guard, wrapped: AbstractToolset[Any], names: _Names | None = None
+        self, guard: GateGuard, wrapped: AbstractToolset[Any], names: _Names | None = None
     ) -> None:
         _require_own(wrapped)
         super().__init__(wrapped)
@@ -170,7 +170,7 @@ class GuardedToolset(WrapperToolset[Any]):
             raise TypeError(f"expected a tool of this toolset, got `{type(tool).__name__}`")
         nulls = left_out(tool_args, self.guard.decided(name))
         asked = {key: value for key, value in tool_args.items() if key not in nulls}
-        beside = _Beside(ctx, self.wrapped, tool.own, nulls)
+        beside = _PydanticContext(ctx, self.wrapped, tool.own, nulls)
         try:
             return await self.guard.acall(name, asked, beside={BESIDE: beside})
         except (NotDone, AuthGuardError) as error:
@@ -187,7 +187,9 @@ class GuardedToolset(WrapperToolset[Any]):
         return _GuardedTool(**{**given, **changed}, own=tool)
 
 
-def guard_tools(guard: Guard, tools: Sequence[Tool[Any] | Callable[..., Any]]) -> GuardedToolset:
+def guard_tools(
+    guard: GateGuard, tools: Sequence[Tool[Any] | Callable[..., Any]]
+) -> GuardedToolset:
     """Return a toolset of tools that a model is shown alike, and that call nothing past the gate.
 
     Args:
@@ -239,7 +241,7 @@ def _not_a_function(name: str, kind: str) -> MalformedError:
     )
 
 
-async def _released(*, authguard_beside: _Beside | None = None, **arguments: Any) -> Any:
+async def _released(*, authguard_beside: _PydanticContext | None = None, **arguments: Any) -> Any:
     """Do a tool's work with what the gate released."""
     if authguard_beside is None:
         raise MalformedError("expected a call of the agent's", where="tool")

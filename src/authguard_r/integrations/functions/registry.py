@@ -16,10 +16,10 @@ from msgspec.structs import replace
 from authguard_r.core.action import Action
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
-from authguard_r.integrations.functions.functions import Functions, Tool
+from authguard_r.integrations.functions.functions import Functions, FunctionTool
 from authguard_r.integrations.functions.values import Fields, Words
-from authguard_r.integrations.tools.endpoints import Place
-from authguard_r.normalize.binding import Argument, Binding, Use, ways_of
+from authguard_r.integrations.tools.endpoints import GateTarget
+from authguard_r.normalize.binding import Argument, ArgumentUse, Binding, ways_of
 from authguard_r.normalize.dialects import Call
 from authguard_r.normalize.rebuild import Rebuilder
 
@@ -34,7 +34,7 @@ class Registry:
         functions: where they are called.
     """
 
-    def __init__(self, place: Place, functions: Functions) -> None:
+    def __init__(self, place: GateTarget, functions: Functions) -> None:
         self._place = place
         self._functions = functions
         self._stops = frozenset(call.tool for call in place.stops)
@@ -68,7 +68,7 @@ class Registry:
         signatures = [signature_of(f, name) for f in (function, coroutine) if f is not None]
         if not signatures:
             raise MalformedError("expected a function", where=name)
-        tool = Tool(
+        tool = FunctionTool(
             name=name,
             function=function,
             coroutine=coroutine,
@@ -88,7 +88,7 @@ class Registry:
             self._rebuilder = Rebuilder(self._place.site, _only(self._place.binding, tools))
             self._functions.tools = tools
 
-    def found(self, name: str, beside: Mapping[str, Any]) -> Tool:
+    def found(self, name: str, beside: Mapping[str, Any]) -> FunctionTool:
         """Return a tool that may be asked for.
 
         Args:
@@ -138,7 +138,7 @@ class Registry:
             for way in ways_of(self._place.binding, name):
                 yield way.tool.arguments, way.tool.when
 
-    def _require_fitting(self, tool: Tool) -> None:
+    def _require_fitting(self, tool: FunctionTool) -> None:
         """Require that the rebuilt call is one of the function.
 
         Raises:
@@ -194,19 +194,19 @@ def signature_of(function: Callable[..., Any], name: str) -> inspect.Signature:
     return signature
 
 
-def _only(binding: Binding, tools: Mapping[str, Tool]) -> Binding:
+def _only(binding: Binding, tools: Mapping[str, FunctionTool]) -> Binding:
     kept = {name: tool for name, tool in binding.tools.items() if name in tools}
     return replace(binding, tools=kept)
 
 
 def _always(argument: Argument) -> bool:
-    if argument.use is not Use.MAPPED:
+    if argument.use is not ArgumentUse.MAPPED:
         return argument.constant() is not None
     return not argument.optional or argument.default is not None
 
 
 def _never(argument: Argument) -> bool:
-    return argument.use is not Use.MAPPED and argument.constant() is None
+    return argument.use is not ArgumentUse.MAPPED and argument.constant() is None
 
 
 def _unknown(message: str) -> MalformedError:

@@ -13,7 +13,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 from authguard_r.core.errors import MalformedError
-from authguard_r.integrations.functions.guard import Guard
+from authguard_r.integrations.functions.guard import GateGuard
 from authguard_r.integrations.functions.outcomes import NotDone
 from authguard_r.integrations.functions.texts import BESIDE, left_out, words_in
 
@@ -23,7 +23,7 @@ Work = Callable[[dict[str, Any]], Awaitable[Any]]
 BEGIN_S = 10.0
 
 
-class Turn:
+class CallTurn:
     """One call, from its proposal to its end; made in the loop that does its work.
 
     Args:
@@ -33,7 +33,9 @@ class Turn:
         waits: the work is begun by `done`; else as soon as it is released.
     """
 
-    def __init__(self, guard: Guard, tool: str, arguments: dict[str, Any], *, waits: bool) -> None:
+    def __init__(
+        self, guard: GateGuard, tool: str, arguments: dict[str, Any], *, waits: bool
+    ) -> None:
         loop = asyncio.get_running_loop()
         self.raised: Exception | None = None
         self._nulls = left_out(arguments, guard.decided(tool))
@@ -102,14 +104,14 @@ class Turn:
             raise
 
 
-def register(guard: Guard, name: str, do: Work) -> None:
+def register(guard: GateGuard, name: str, do: Work) -> None:
     """Let work be what a tool does, for calls that are turns.
 
     Raises:
         MalformedError: the binding has no such tool, or it has a function already.
     """
 
-    async def released(*, authguard_beside: Turn | None = None, **arguments: Any) -> Any:
+    async def released(*, authguard_beside: CallTurn | None = None, **arguments: Any) -> Any:
         if authguard_beside is None:
             raise MalformedError("expected a call of the agent's", where=name)
         return await authguard_beside.work(do, arguments, name)

@@ -32,11 +32,11 @@ from authguard_r.integrations.http.messages import (
     Metadata,
     Numbered,
     Page,
-    Proposal,
-    Record,
-    Records,
-    Standing,
-    Status,
+    ProposalMessage,
+    RecordMessage,
+    RecordsMessage,
+    StandingMessage,
+    StatusMessage,
 )
 from authguard_r.integrations.http.operations import EVALUATION, EVALUATIONS, Operation
 from authguard_r.integrations.http.reading import read_body, read_words
@@ -93,7 +93,7 @@ class Endpoints:
             access_evaluations_endpoint=self._url + EVALUATIONS,
         )
 
-    async def _proposal(self, words: Any, asked: Proposal, request: Request) -> Any:  # noqa: ARG002
+    async def _proposal(self, words: Any, asked: ProposalMessage, request: Request) -> Any:  # noqa: ARG002
         keys = request.headers.getlist("idempotency-key")
         if len(keys) != 1 or not KEY.match(keys[0]):
             raise MalformedError(
@@ -105,10 +105,10 @@ class Endpoints:
             raise RequestError(409, str(error.reason), error.message, where=error.where) from error
 
     async def _mission(self, words: Any, asked: Any, request: Request) -> Any:  # noqa: ARG002
-        return _as(await self._operator.ask(AsyncGateClient.status), Standing)
+        return _as(await self._operator.ask(AsyncGateClient.status), StandingMessage)
 
     async def _status(self, words: Any, asked: Any, request: Request) -> Any:  # noqa: ARG002
-        return _as(await self._operator.ask(AsyncGateClient.status), Status)
+        return _as(await self._operator.ask(AsyncGateClient.status), StatusMessage)
 
     async def _approvals(self, words: Any, asked: Any, request: Request) -> Any:  # noqa: ARG002
         return list(await self._operator.ask(AsyncGateClient.approvals))
@@ -118,8 +118,8 @@ class Endpoints:
 
     async def _records(self, words: Page, asked: Any, request: Request) -> Any:  # noqa: ARG002
         page = await self._operator.ask(lambda gate: gate.records(words.first, words.count))
-        found = _as(page["records"], tuple[Record, ...])
-        return Records(records=found, next=found[-1].seq + 1 if found else None)
+        found = _as(page["records"], tuple[RecordMessage, ...])
+        return RecordsMessage(records=found, next=found[-1].seq + 1 if found else None)
 
     async def _explanation(self, words: Numbered, asked: Any, request: Request) -> Any:  # noqa: ARG002
         return _as(await self._one(lambda gate: gate.explain(words.seq)), Explanation)

@@ -26,7 +26,7 @@ from authguard_r.integrations.http.messages import (
     Evaluation,
     Evaluations,
     MissionName,
-    Proposal,
+    ProposalMessage,
     Said,
     Trouble,
 )
@@ -98,7 +98,7 @@ class Decider:
                 break
         return DecidedAll(evaluations=tuple(found))
 
-    async def proposal(self, asked: Proposal, key: str) -> Carried:
+    async def proposal(self, asked: ProposalMessage, key: str) -> Carried:
         """Have a call decided and carried out; return what became of it.
 
         Args:

@@ -14,13 +14,13 @@ from authguard_r.core.reasons import Reason
 from authguard_r.integrations.http.clients import Doorkeeper
 from authguard_r.integrations.http.faults import RequestError, of_fault
 from authguard_r.integrations.http_listener.access import App, Receive, Scope, Send
-from authguard_r.integrations.http_listener.admission import Limits
+from authguard_r.integrations.http_listener.admission import AdmissionLimits
 from authguard_r.integrations.http_listener.connection import GoneError, let_in
 from authguard_r.normalize.parse import MAX_TEXT
 from authguard_r.wire.json_log import Lines
 
 #: Of `authguard serve`.
-LIMITS = Limits(connections=512, body=MAX_TEXT)
+LIMITS = AdmissionLimits(connections=512, body=MAX_TEXT)
 #: Longest number that a client gives its request, in bytes.
 MAX_ID = 256
 #: Where a handler leaves the template of its path and the code of its refusal, for the line.

@@ -11,8 +11,8 @@ from collections.abc import Awaitable, Callable
 from typing import TypeVar
 
 from authguard_r.client import AsyncGateClient
-from authguard_r.client.link import Log
-from authguard_r.client.reconnecting import GatePlace, KeptGate
+from authguard_r.client.link import ProcessLog
+from authguard_r.client.reconnecting import GatePlace, ReconnectingClient
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault
 from authguard_r.core.reasons import Reason
 from authguard_r.wire.messages import ClientRole
@@ -48,8 +48,8 @@ class GateLink:
         log: says once what happened.
     """
 
-    def __init__(self, place: GatePlace, role: ClientRole, log: Log) -> None:
-        self._kept = KeptGate(place, role, timeout_ms=ANSWER_MS)
+    def __init__(self, place: GatePlace, role: ClientRole, log: ProcessLog) -> None:
+        self._kept = ReconnectingClient(place, role, timeout_ms=ANSWER_MS)
         self._role, self._log = role, log
         self._seen: AsyncGateClient | None = None
         self._turns = asyncio.Semaphore(AT_ONCE)

@@ -22,11 +22,11 @@ MAX_PAGE, PAGE = 1_000, 100
 Claims = dict[str, Any]
 
 
-class _Asked(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class _RequestPart(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A part of a request; what it does not have is refused, for it may be a misspelled field."""
 
 
-class Subject(_Asked, frozen=True, kw_only=True):
+class Subject(_RequestPart, frozen=True, kw_only=True):
     """Who asks, as the enforcement point calls it. It is no authority."""
 
     type: str
@@ -34,7 +34,7 @@ class Subject(_Asked, frozen=True, kw_only=True):
     properties: Claims | UnsetType = UNSET
 
 
-class Resource(_Asked, frozen=True, kw_only=True):
+class Resource(_RequestPart, frozen=True, kw_only=True):
     """What is asked about: the robot, of type `robot`."""
 
     type: str
@@ -42,27 +42,27 @@ class Resource(_Asked, frozen=True, kw_only=True):
     properties: Claims | UnsetType = UNSET
 
 
-class Action(_Asked, frozen=True, kw_only=True):
+class ActionMessage(_RequestPart, frozen=True, kw_only=True):
     """A tool's call: its name, and its arguments as `properties`, as the planner wrote both."""
 
     name: str
     properties: dict[str, Any] | UnsetType = UNSET
 
 
-class Evaluation(_Asked, frozen=True, kw_only=True):
+class Evaluation(_RequestPart, frozen=True, kw_only=True):
     """One question of the Authorization API."""
 
     subject: Subject
-    action: Action
+    action: ActionMessage
     resource: Resource
     context: Claims | UnsetType = UNSET
 
 
-class Part(_Asked, frozen=True, kw_only=True):
+class Part(_RequestPart, frozen=True, kw_only=True):
     """One question of several; what it leaves out is the whole request's."""
 
     subject: Subject | UnsetType = UNSET
-    action: Action | UnsetType = UNSET
+    action: ActionMessage | UnsetType = UNSET
     resource: Resource | UnsetType = UNSET
     context: Claims | UnsetType = UNSET
 
@@ -71,24 +71,24 @@ class Part(_Asked, frozen=True, kw_only=True):
 Semantic = Literal["execute_all", "deny_on_first_deny", "permit_on_first_permit"]
 
 
-class Options(_Asked, frozen=True, kw_only=True):
+class Options(_RequestPart, frozen=True, kw_only=True):
     """How a batch is evaluated."""
 
     evaluations_semantic: Semantic = "execute_all"
 
 
-class Evaluations(_Asked, frozen=True, kw_only=True):
+class Evaluations(_RequestPart, frozen=True, kw_only=True):
     """Several questions, or one without `evaluations`."""
 
     subject: Subject | UnsetType = UNSET
-    action: Action | UnsetType = UNSET
+    action: ActionMessage | UnsetType = UNSET
     resource: Resource | UnsetType = UNSET
     context: Claims | UnsetType = UNSET
     options: Options = Options()
     evaluations: Annotated[tuple[Part, ...], Meta(max_length=MAX_BATCH)] = ()
 
 
-class Proposal(_Asked, frozen=True, kw_only=True):
+class ProposalMessage(_RequestPart, frozen=True, kw_only=True):
     """A tool's call that is to be carried out."""
 
     tool: str
@@ -215,7 +215,7 @@ class GrantUse(Struct, frozen=True, kw_only=True):
     of: int | None
 
 
-class Mission(Struct, frozen=True, kw_only=True):
+class MissionMessage(Struct, frozen=True, kw_only=True):
     """The active mission as it stands."""
 
     mid: str
@@ -231,15 +231,15 @@ class Mission(Struct, frozen=True, kw_only=True):
     grants: tuple[GrantUse, ...]
 
 
-class Standing(Struct, frozen=True, kw_only=True):
+class StandingMessage(Struct, frozen=True, kw_only=True):
     """The robot's mission, or that it has none."""
 
     robot: RobotId
-    mission: Mission | None
+    mission: MissionMessage | None
     stop_stands: bool
 
 
-class Status(Standing, frozen=True, kw_only=True):
+class StatusMessage(StandingMessage, frozen=True, kw_only=True):
     """What a gate says of itself."""
 
     mode: Mode
@@ -257,7 +257,7 @@ class Status(Standing, frozen=True, kw_only=True):
     anchor: dict[str, Any]
 
 
-class Record(Struct, frozen=True, kw_only=True):
+class RecordMessage(Struct, frozen=True, kw_only=True):
     """One record of the log, with the values beside it as they lie there."""
 
     seq: Count
@@ -266,7 +266,7 @@ class Record(Struct, frozen=True, kw_only=True):
     link: str
 
 
-class Records(Struct, frozen=True, kw_only=True):
+class RecordsMessage(Struct, frozen=True, kw_only=True):
     """A page of the log.
 
     Args:
@@ -274,7 +274,7 @@ class Records(Struct, frozen=True, kw_only=True):
         next: the `first` of the next page; null when this one is empty.
     """
 
-    records: tuple[Record, ...]
+    records: tuple[RecordMessage, ...]
     next: Count | None
 
 
@@ -295,24 +295,24 @@ class Explanation(Struct, frozen=True, kw_only=True):
     closed: Any = None
 
 
-class Page(_Asked, frozen=True, kw_only=True):
+class Page(_RequestPart, frozen=True, kw_only=True):
     """Which records."""
 
     first: Count = 0
     count: Annotated[int, Meta(ge=1, le=MAX_PAGE)] = PAGE
 
 
-class Numbered(_Asked, frozen=True, kw_only=True):
+class Numbered(_RequestPart, frozen=True, kw_only=True):
     """Which record."""
 
     seq: Count
 
 
-class Counted(_Asked, frozen=True, kw_only=True):
+class Counted(_RequestPart, frozen=True, kw_only=True):
     """Which approval request."""
 
     counter: Annotated[int, Meta(ge=1, le=9_007_199_254_740_991)]
 
 
-class Nothing(_Asked, frozen=True, kw_only=True):
+class NoParameters(_RequestPart, frozen=True, kw_only=True):
     """No parameters."""

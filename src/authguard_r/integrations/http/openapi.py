@@ -18,6 +18,9 @@ _JSON = "application/json"
 _TEMPLATE = "#/components/schemas/{name}"
 #: One line of the `Args:` of a struct, with the lines that go on with it.
 _FIELD = re.compile(r"^ {8}(\w+): (.*(?:\n {12}.*)*)", re.MULTILINE)
+#: What a struct's name ends with where another part of the package has one of the same name.
+_SUFFIX = "Message"
+_STRUCT = re.compile(rf"\b[A-Z]\w*{_SUFFIX}(?=\")")
 _STATUSES = {
     400: "The request is not what it has to be; `where` says at which place.",
     401: "Nobody who may ask: no token or certificate, or one that does not hold.",
@@ -45,7 +48,7 @@ def document(operations: tuple[Operation, ...], *, version: str) -> bytes:
     """
     kinds = [kind for op in operations for kind in (*op.gives, op.takes, op.words) if kind]
     _, components = msgspec.json.schema_components((*kinds, Problem), ref_template=_TEMPLATE)
-    schemas = {name: _told(_portable(schema)) for name, schema in components.items()}
+    schemas = {_public(name): _told(_portable(schema)) for name, schema in components.items()}
     _complete(schemas)
     paths: dict[str, Any] = {}
     for operation in operations:
@@ -73,7 +76,13 @@ def document(operations: tuple[Operation, ...], *, version: str) -> bytes:
             },
         },
     }
-    return msgspec.json.format(msgspec.json.encode(made), indent=1)
+    named = _STRUCT.sub(lambda found: _public(found[0]), msgspec.json.encode(made).decode())
+    return msgspec.json.format(named, indent=1).encode()
+
+
+def _public(name: str) -> str:
+    """Return the name of a struct in the document: without the suffix that tells it from ours."""
+    return name.removesuffix(_SUFFIX)
 
 
 def _operation(operation: Operation, schemas: dict[str, Any]) -> dict[str, Any]:

@@ -19,13 +19,13 @@ from authguard_r.integrations.http.messages import (
     Evaluations,
     Explanation,
     Metadata,
-    Nothing,
+    NoParameters,
     Numbered,
     Page,
-    Proposal,
-    Records,
-    Standing,
-    Status,
+    ProposalMessage,
+    RecordsMessage,
+    StandingMessage,
+    StatusMessage,
 )
 from authguard_r.wire.approval_request import Question
 
@@ -61,7 +61,7 @@ class Operation(Struct, frozen=True, kw_only=True):
     summary: str
     gives: tuple[Any, ...] = ()
     takes: type[Struct] | None = None
-    words: type[Struct] = Nothing
+    words: type[Struct] = NoParameters
     keyed: bool = False
     text: bool = False
     faults: tuple[int, ...] = ()
@@ -103,7 +103,7 @@ _PROPOSED = Operation(
     method="POST",
     path="/v1/proposals",
     summary="Have one call decided and carried out by the gate's own controller.",
-    takes=Proposal,
+    takes=ProposalMessage,
     gives=(Carried,),
     keyed=True,
     faults=(409,),
@@ -114,7 +114,7 @@ _READ = (
         method="GET",
         path="/v1/mission",
         summary="The active mission as it stands.",
-        gives=(Standing,),
+        gives=(StandingMessage,),
     ),
     Operation(
         name="approvals",
@@ -138,7 +138,7 @@ _READ = (
         path="/v1/records",
         summary="A page of the log.",
         words=Page,
-        gives=(Records,),
+        gives=(RecordsMessage,),
     ),
     Operation(
         name="explanation",
@@ -154,7 +154,7 @@ _READ = (
         method="GET",
         path="/v1/status",
         summary="What the gate says of itself.",
-        gives=(Status,),
+        gives=(StatusMessage,),
     ),
     Operation(
         name="metrics_text",

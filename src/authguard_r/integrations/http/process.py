@@ -16,7 +16,7 @@ from typing import Any
 from msgspec import Struct
 from OpenSSL import SSL
 
-from authguard_r.client.link import Log, require_folder
+from authguard_r.client.link import ProcessLog, require_folder
 from authguard_r.client.reconnecting import GatePlace
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.integrations.http.app import Endpoints, application
@@ -28,14 +28,14 @@ from authguard_r.integrations.http.openapi import document
 from authguard_r.integrations.http.operations import operations_of
 from authguard_r.integrations.http.tls import Secured
 from authguard_r.integrations.http_listener.access import App
-from authguard_r.integrations.http_listener.connection import Guest
+from authguard_r.integrations.http_listener.connection import HttpConnection
 from authguard_r.integrations.http_listener.server import serve_until_told
 from authguard_r.wire.disclosure import Disclosure
 from authguard_r.wire.json_log import Lines
 from authguard_r.wire.messages import ClientRole, Mode
 
 
-class Setup(Struct, frozen=True, kw_only=True):
+class HttpSetup(Struct, frozen=True, kw_only=True):
     """What a decision point is told.
 
     Args:
@@ -64,7 +64,7 @@ def openapi(*, propose: bool) -> bytes:
     return document(operations_of(propose=propose), version=version("authguard-r"))
 
 
-async def serve(setup: Setup, made: socket.socket) -> None:
+async def serve(setup: HttpSetup, made: socket.socket) -> None:
     """Serve until SIGTERM or SIGINT.
 
     A gate that is away at the start is waited for: requests are 503 until it is there.
@@ -73,7 +73,7 @@ async def serve(setup: Setup, made: socket.socket) -> None:
         AuthGuardError: there is a gate, and it is not the one that was meant.
     """
     require_folder(setup.where.run)
-    log, lines = Log(), Lines(most=LIMITS.lines)
+    log, lines = ProcessLog(), Lines(most=LIMITS.lines)
     shadow = setup.where.mode is Mode.SHADOW
     operator = GateLink(setup.where, ClientRole.OPERATOR, log)
     planner = GateLink(setup.where, ClientRole.PLANNER, log) if setup.propose or shadow else None
@@ -109,7 +109,7 @@ async def _try(link: GateLink) -> None:
             raise error.fault from None
 
 
-def _application(setup: Setup, decider: Decider, operator: GateLink) -> App:
+def _application(setup: HttpSetup, decider: Decider, operator: GateLink) -> App:
     endpoints = Endpoints(
         decider,
         operator,
@@ -121,7 +121,7 @@ def _application(setup: Setup, decider: Decider, operator: GateLink) -> App:
 
 
 def _secured(
-    context: SSL.Context, guest: Guest, inner: Callable[[], asyncio.Protocol]
+    context: SSL.Context, guest: HttpConnection, inner: Callable[[], asyncio.Protocol]
 ) -> asyncio.Protocol:
     """Return the protocol of a new connection: HTTP inside TLS."""
     return Secured(context, guest, inner)

@@ -15,7 +15,7 @@ from msgspec import UNSET, UnsetType
 
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
-from authguard_r.integrations.http.messages import Action, Evaluation, Evaluations, Part
+from authguard_r.integrations.http.messages import ActionMessage, Evaluation, Evaluations, Part
 from authguard_r.normalize.parse import read_json, read_text
 
 T = TypeVar("T")
@@ -80,7 +80,7 @@ def plan_of(tool: str, arguments: dict[str, Any]) -> bytes:
     return _ENCODER.encode({"plan": [{"tool": tool, "arguments": arguments}]})
 
 
-def call_of(action: Action) -> bytes:
+def call_of(action: ActionMessage) -> bytes:
     """Return an action of the Authorization API as a plan of one step."""
     return plan_of(action.name, {} if action.properties is UNSET else action.properties)
 

@@ -18,7 +18,7 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from OpenSSL import SSL
 
 from authguard_r.core.errors import MalformedError
-from authguard_r.integrations.http_listener.connection import CHAIN, Guest
+from authguard_r.integrations.http_listener.connection import CHAIN, HttpConnection
 from authguard_r.keys.files import read_private
 from authguard_r.keys.trust import read_file
 
@@ -72,7 +72,7 @@ class Secured(asyncio.Protocol):
     _late: asyncio.TimerHandle
 
     def __init__(
-        self, context: SSL.Context, guest: Guest, make: Callable[[], asyncio.Protocol]
+        self, context: SSL.Context, guest: HttpConnection, make: Callable[[], asyncio.Protocol]
     ) -> None:
         self._tls = SSL.Connection(context, None)
         self._tls.set_accept_state()

@@ -27,7 +27,7 @@ LEAST = 16
 G = TypeVar("G")
 
 
-class Limits(Struct, frozen=True, kw_only=True):
+class AdmissionLimits(Struct, frozen=True, kw_only=True):
     """What a listener gives to those whom it does not know, and to all in sum.
 
     Args:
@@ -52,7 +52,7 @@ class Limits(Struct, frozen=True, kw_only=True):
     lines: int = 50
 
 
-def fitting(limits: Limits) -> Limits:
+def fitting(limits: AdmissionLimits) -> AdmissionLimits:
     """Return limits that the process has files for; it is allowed more files if it may have them.
 
     Raises:
@@ -74,7 +74,7 @@ def fitting(limits: Limits) -> Limits:
     return replace(limits, connections=min(limits.connections, left))
 
 
-class Room(Generic[G]):
+class AdmissionControl(Generic[G]):
     """Who is connected.
 
     Args:

@@ -13,7 +13,7 @@ from typing import Any
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from authguard_r.integrations.http_listener.access import App, Receive, Scope, Send
-from authguard_r.integrations.http_listener.admission import Limits, Room
+from authguard_r.integrations.http_listener.admission import AdmissionControl, AdmissionLimits
 
 #: Where a request's scope has the connection that it came by, and the client's certificates.
 GUEST, CHAIN = "authguard_r.guest", "authguard_r.chain"
@@ -26,7 +26,7 @@ class GoneError(Exception):
     """A request was read, and its connection has been ended: nobody would hear an answer."""
 
 
-class Guest:
+class HttpConnection:
     """Somebody who is connected.
 
     Args:
@@ -34,7 +34,7 @@ class Guest:
         limits: of the listener.
     """
 
-    def __init__(self, room: Room[Guest], limits: Limits) -> None:
+    def __init__(self, room: AdmissionControl[HttpConnection], limits: AdmissionLimits) -> None:
         self._room = room
         self._transport: asyncio.Transport | None = None
         self._is_gone = False
@@ -102,7 +102,7 @@ class Patient(H11Protocol):
     _unread: asyncio.TimerHandle | None = None
     _next: asyncio.TimerHandle | None = None
 
-    def __init__(self, guest: Guest, **given: Any) -> None:
+    def __init__(self, guest: HttpConnection, **given: Any) -> None:
         super().__init__(**given)
         self._guest = guest
 

@@ -19,8 +19,12 @@ import uvicorn
 
 from authguard_r.client.link import until_told
 from authguard_r.integrations.http_listener.access import App
-from authguard_r.integrations.http_listener.admission import Limits, Room, fitting
-from authguard_r.integrations.http_listener.connection import Guest, Patient
+from authguard_r.integrations.http_listener.admission import (
+    AdmissionControl,
+    AdmissionLimits,
+    fitting,
+)
+from authguard_r.integrations.http_listener.connection import HttpConnection, Patient
 from authguard_r.wire.json_log import Lines
 
 #: Answers that are under way are waited for so long at the end, in seconds.
@@ -31,10 +35,10 @@ AT_ONCE = 16
 AGAIN_S = 0.1
 
 #: Makes the outermost protocol of a connection: HTTP, or TLS around it.
-Make = Callable[[Guest, Callable[[], asyncio.Protocol]], asyncio.Protocol]
+Make = Callable[[HttpConnection, Callable[[], asyncio.Protocol]], asyncio.Protocol]
 
 
-class Door:
+class Acceptor:
     """Takes in whoever connects.
 
     Args:
@@ -43,19 +47,19 @@ class Door:
         lines: where it is said that somebody had to go.
     """
 
-    def __init__(self, made: socket.socket, limits: Limits, lines: Lines) -> None:
+    def __init__(self, made: socket.socket, limits: AdmissionLimits, lines: Lines) -> None:
         self._made = made
         self._limits = limits
         self._lines = lines
-        self._room: Room[Guest] = Room(limits.connections)
+        self._room: AdmissionControl[HttpConnection] = AdmissionControl(limits.connections)
         # who has come has his turn before as many others come as there are places
         self._at_once = max(1, min(AT_ONCE, limits.connections // 8))
         self._coming: set[asyncio.Task[Any]] = set()
         self._loop = asyncio.get_running_loop()
         self._again: asyncio.TimerHandle | None = None
-        self._make: Callable[[Guest], asyncio.Protocol]
+        self._make: Callable[[HttpConnection], asyncio.Protocol]
 
-    def open(self, make: Callable[[Guest], asyncio.Protocol]) -> None:
+    def open(self, make: Callable[[HttpConnection], asyncio.Protocol]) -> None:
         """Begin.
 
         Args:
@@ -87,20 +91,20 @@ class Door:
                 self._go(self._room.spare())
                 self._wait()
                 return
-            guest = Guest(self._room, self._limits)
+            guest = HttpConnection(self._room, self._limits)
             self._go(self._room.enter(guest))
             task = self._loop.create_task(self._connect(guest, link))
             self._coming.add(task)
             task.add_done_callback(self._coming.discard)
 
-    async def _connect(self, guest: Guest, link: socket.socket) -> None:
+    async def _connect(self, guest: HttpConnection, link: socket.socket) -> None:
         try:
             await self._loop.connect_accepted_socket(partial(self._make, guest), link)
         except OSError:  # it has gone already
             link.close()
             guest.leave()
 
-    def _go(self, guest: Guest | None) -> None:
+    def _go(self, guest: HttpConnection | None) -> None:
         if guest is not None:
             guest.go()
             self._lines.write({"event": "crowded"}, kind="crowded", most=1)
@@ -113,7 +117,7 @@ class Door:
         )
 
 
-class _Server(uvicorn.Server):
+class _UvicornServer(uvicorn.Server):
     """A server that leaves signals to whoever runs it, and its port to a door.
 
     Args:
@@ -122,7 +126,7 @@ class _Server(uvicorn.Server):
         make: makes the outermost protocol of each.
     """
 
-    def __init__(self, config: uvicorn.Config, door: Door, make: Make) -> None:
+    def __init__(self, config: uvicorn.Config, door: Acceptor, make: Make) -> None:
         super().__init__(config)
         self._door = door
         self._make = make
@@ -144,7 +148,7 @@ class _Server(uvicorn.Server):
         await super().shutdown(sockets or [])
         self._door.clear()
 
-    def _connection(self, guest: Guest) -> asyncio.Protocol:
+    def _connection(self, guest: HttpConnection) -> asyncio.Protocol:
         inner = partial(
             Patient,
             guest,
@@ -155,14 +159,14 @@ class _Server(uvicorn.Server):
         return self._make(guest, inner)
 
 
-def _plain(_: Guest, inner: Callable[[], asyncio.Protocol]) -> asyncio.Protocol:
+def _plain(_: HttpConnection, inner: Callable[[], asyncio.Protocol]) -> asyncio.Protocol:
     return inner()
 
 
 async def serve_until_told(
     app: App,
     made: socket.socket,
-    limits: Limits,
+    limits: AdmissionLimits,
     lines: Lines,
     *,
     make: Make = _plain,
@@ -195,7 +199,7 @@ async def serve_until_told(
         timeout_graceful_shutdown=END_S,
         proxy_headers=False,  # nobody in between is believed
     )
-    server = _Server(config, Door(made, allowed, lines), make)
+    server = _UvicornServer(config, Acceptor(made, allowed, lines), make)
 
     def failed(_: asyncio.AbstractEventLoop, said: dict[str, Any]) -> None:
         """Write down that a connection failed: asyncio's own word has no bound."""

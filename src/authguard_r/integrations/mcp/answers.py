@@ -13,18 +13,18 @@ from typing import Any
 
 import mcp_types as types
 
-from authguard_r.client.controller import Told
-from authguard_r.integrations.tools.server import WITHHELD, Answer, fits
+from authguard_r.client.controller import ExecutionNews
+from authguard_r.integrations.tools.server import WITHHELD, ToolAnswer, fits
 
 _TOO_LONG = types.CallToolResult(
     content=[types.TextContent(type="text", text=WITHHELD)], is_error=True
 )
 
 
-def answer_from(result: types.CallToolResult) -> Answer:
+def answer_from(result: types.CallToolResult) -> ToolAnswer:
     """Return a result as a body reads it, and as it passes through the gate."""
     told = _told_of(result)
-    return Answer(
+    return ToolAnswer(
         is_error=bool(result.is_error),
         structured=result.structured_content,
         text="\n".join(i.text for i in result.content if isinstance(i, types.TextContent)),
@@ -32,9 +32,9 @@ def answer_from(result: types.CallToolResult) -> Answer:
     )
 
 
-def _told_of(result: types.CallToolResult) -> Told:
+def _told_of(result: types.CallToolResult) -> ExecutionNews:
     content = result.model_dump_json(by_alias=True, exclude_none=True).encode()
-    return Told(content, tuple(texts_of(result)) or ("",))
+    return ExecutionNews(content, tuple(texts_of(result)) or ("",))
 
 
 def answer_of(content: bytes) -> types.CallToolResult:

@@ -23,20 +23,20 @@ _FORM: types.ElicitRequestedSchema = {"type": "object", "properties": {}}
 _KEY = "approval"
 
 
-class Said(Enum):
+class PersonAnswer(Enum):
     """What a client's person has said to the question before."""
 
     NO = "no"
     ELSE = "else"  # a yes, or anything: it makes nothing lawful
 
 
-def said(params: types.CallToolRequestParams) -> Said | None:
+def said(params: types.CallToolRequestParams) -> PersonAnswer | None:
     """Return what a person has answered; None: nobody was asked."""
     if params.input_responses is None:
         return None
     answers = params.input_responses.values()
     declined = any(getattr(answer, "action", "accept") != "accept" for answer in answers)
-    return Said.NO if declined else Said.ELSE
+    return PersonAnswer.NO if declined else PersonAnswer.ELSE
 
 
 def can_ask(ctx: Any) -> bool:

@@ -20,7 +20,7 @@ import mcp_types as types
 from mcp.client.stdio import get_default_environment
 from mcp.shared.message import SessionMessage
 
-from authguard_r.client.link import Log
+from authguard_r.client.link import ProcessLog
 
 #: Longest message of a tools' server, in bytes.
 MAX_MESSAGE = 4 << 20
@@ -39,7 +39,7 @@ _ENDS = (
 
 @asynccontextmanager
 async def child(
-    command: tuple[str, ...], environment: dict[str, str], log: Log, starting: asyncio.Lock
+    command: tuple[str, ...], environment: dict[str, str], log: ProcessLog, starting: asyncio.Lock
 ) -> AsyncIterator[Any]:
     """Start a server's process, yield the streams of its messages, and end it.
 
@@ -79,7 +79,7 @@ async def child(
             stream.close()
 
 
-async def _hear(process: asyncio.subprocess.Process, heard: Any, log: Log) -> None:
+async def _hear(process: asyncio.subprocess.Process, heard: Any, log: ProcessLog) -> None:
     """Hand on what it says until it ends, or says something too long."""
     source = process.stdout
     async with heard:

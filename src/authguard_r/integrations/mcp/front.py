@@ -26,7 +26,7 @@ from authguard_r.integrations.mcp.answers import answer_of, texts_of
 from authguard_r.integrations.mcp.pins import Pins
 from authguard_r.integrations.mcp.turns import Turns
 from authguard_r.integrations.mcp.unreadable import UNREADABLE
-from authguard_r.integrations.tools.planner import Asked, LostError, Planner
+from authguard_r.integrations.tools.planner import CallOutcome, LostError, ToolPlanner
 from authguard_r.normalize.binding import Binding, ways_of
 from authguard_r.site.model import Site
 
@@ -80,7 +80,7 @@ class Front:
 
     def __init__(
         self,
-        planner: Planner,
+        planner: ToolPlanner,
         tools: Callable[[], list[types.Tool]],
         unguarded: Unguarded | None = None,
     ) -> None:
@@ -103,7 +103,7 @@ class Front:
         self, ctx: Any, params: types.CallToolRequestParams
     ) -> types.CallToolResult | types.InputRequiredResult:
         said = asking.said(params)
-        if said is asking.Said.NO:  # it only narrows; a yes is read nowhere
+        if said is asking.PersonAnswer.NO:  # it only narrows; a yes is read nowhere
             return refused({"outcome": "reject", "reasons": []}, "not proposed again: declined")
         session = _session_of(ctx)
         answer, waits_for = await self._proposed(params, session, again=said is not None)
@@ -142,7 +142,7 @@ class Front:
         return answered(asked), asked.step.get("required_approvals", 0) if waits else None
 
     async def _beside(
-        self, tool: str, arguments: dict[str, Any], asked: Asked
+        self, tool: str, arguments: dict[str, Any], asked: CallOutcome
     ) -> types.CallToolResult:
         """Make a call whatever the gate said, and let it know what the planner sees."""
         if self._unguarded is None:  # pragma: no cover - asked by the caller
@@ -202,7 +202,7 @@ def size_of(arguments: dict[str, Any]) -> int:
         raise MalformedError("not JSON", where="arguments") from error
 
 
-def answered(asked: Asked) -> types.CallToolResult:
+def answered(asked: CallOutcome) -> types.CallToolResult:
     """Return what a planner is told of its call."""
     outcome = asked.execution
     verdict = {**asked.verdict, "execution": outcome, "repeated": asked.repeated}

@@ -11,7 +11,7 @@ from collections.abc import MutableMapping, Sequence
 from typing import Any
 
 from authguard_r.integrations.http_listener.access import App, Receive, Scope, Send, shows
-from authguard_r.integrations.http_listener.admission import Limits
+from authguard_r.integrations.http_listener.admission import AdmissionLimits
 from authguard_r.integrations.http_listener.connection import let_in
 from authguard_r.integrations.http_listener.server import serve_until_told
 from authguard_r.integrations.mcp.front import Front
@@ -22,7 +22,7 @@ from authguard_r.wire.json_log import Lines
 #: Where clients go.
 PATH = "/mcp"
 #: Of `authguard mcp --listen`.
-LIMITS = Limits(connections=256, body=1 << 20)
+LIMITS = AdmissionLimits(connections=256, body=1 << 20)
 
 
 def guarded(app: App, token: bytes, lines: Lines) -> App:

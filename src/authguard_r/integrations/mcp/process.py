@@ -15,18 +15,18 @@ from typing import Any
 from mcp_types import CallToolResult, Tool
 from msgspec import field
 
-from authguard_r.client.link import Log
+from authguard_r.client.link import ProcessLog
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.integrations.mcp.front import Front, refused, shown, tools_of
 from authguard_r.integrations.mcp.pins import Pins
 from authguard_r.integrations.mcp.standard import standard_streams
 from authguard_r.integrations.mcp.upstream import Upstream
 from authguard_r.integrations.tools.body import LONGEST_S
-from authguard_r.integrations.tools.endpoints import Ends, Place, first_of
+from authguard_r.integrations.tools.endpoints import Ends, GateTarget, first_of
 from authguard_r.integrations.tools.server import CallError
 
 
-class Setup(Place, frozen=True, kw_only=True):
+class GatewaySetup(GateTarget, frozen=True, kw_only=True):
     """What a gateway is told.
 
     Args:
@@ -48,9 +48,9 @@ class Gateway:
         setup: what it is told.
     """
 
-    def __init__(self, setup: Setup) -> None:
+    def __init__(self, setup: GatewaySetup) -> None:
         self._setup = setup
-        log = Log()
+        log = ProcessLog()
         self.upstream = Upstream(
             setup.server,
             pins=setup.pins,
@@ -90,7 +90,7 @@ class Gateway:
         self._ends.look()
 
 
-async def serve(setup: Setup, front_of: Callable[[Front], Awaitable[None]]) -> None:
+async def serve(setup: GatewaySetup, front_of: Callable[[Front], Awaitable[None]]) -> None:
     """Run a gateway while its front is served.
 
     Args:

@@ -16,7 +16,7 @@ import mcp_types as types
 
 from authguard_r.core.errors import MalformedError
 from authguard_r.integrations.http_listener.access import App, Receive, Scope, Send
-from authguard_r.integrations.http_listener.admission import Limits
+from authguard_r.integrations.http_listener.admission import AdmissionLimits
 from authguard_r.normalize.parse import read_json
 
 #: The one argument of a call that could not be read: its text. Who sends it is refused.
@@ -73,7 +73,7 @@ def _error(number: str | int | None, code: int, why: str) -> bytes:
     return json.dumps(said).encode()
 
 
-def held_to_json(app: App, limits: Limits) -> App:
+def held_to_json(app: App, limits: AdmissionLimits) -> App:
     """Return the application with each request's body held to strict JSON.
 
     Args:

@@ -18,7 +18,7 @@ import anyio
 import mcp_types as types
 from mcp import Client, ClientSession, MCPError
 
-from authguard_r.client.link import FIRST_PAUSE_S, LONGEST_PAUSE_S, Log
+from authguard_r.client.link import FIRST_PAUSE_S, LONGEST_PAUSE_S, ProcessLog
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.identifiers import Digest
 from authguard_r.core.reasons import Reason
@@ -26,7 +26,7 @@ from authguard_r.integrations.mcp.answers import answer_from
 from authguard_r.integrations.mcp.child import child
 from authguard_r.integrations.mcp.pins import MAX_PINS, Pins, pins_of
 from authguard_r.integrations.mcp.remote import remote
-from authguard_r.integrations.tools.server import Answer, CallError
+from authguard_r.integrations.tools.server import CallError, ToolAnswer
 
 T = TypeVar("T")
 
@@ -56,7 +56,7 @@ class Upstream:
         *,
         pins: Pins | None,
         environment: dict[str, str],
-        log: Log,
+        log: ProcessLog,
         changed: Callable[[], None],
     ) -> None:
         self.pins = pins
@@ -80,7 +80,7 @@ class Upstream:
         within_s: float,
         *,
         ticket: Digest | None = None,
-    ) -> Answer:
+    ) -> ToolAnswer:
         """Return a tool's answer as a body reads it; arguments and errors as `ask`'s.
 
         A call that stops the robot has a session of its own, where the server is reached by a URL:
@@ -258,7 +258,7 @@ async def listed(server: tuple[str, ...], environment: dict[str, str]) -> Pins:
 
     async def ask(starting: asyncio.Lock) -> Pins:
         with anyio.fail_after(OPEN_S):
-            async with Client(_transport(server, environment, Log(), starting)) as client:
+            async with Client(_transport(server, environment, ProcessLog(), starting)) as client:
                 return pins_of(await _tools(client))
 
     try:
@@ -307,7 +307,7 @@ async def _called(
 
 
 def _transport(
-    server: tuple[str, ...], environment: dict[str, str], log: Log, starting: asyncio.Lock
+    server: tuple[str, ...], environment: dict[str, str], log: ProcessLog, starting: asyncio.Lock
 ) -> AbstractAsyncContextManager[Any]:
     return remote(server[0]) if _is_url(server) else child(server, environment, log, starting)
 

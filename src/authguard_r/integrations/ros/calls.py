@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
-from authguard_r.integrations.ros.map import Kind, Mediated, RosMap
+from authguard_r.integrations.ros.map import Mediated, MediationKind, RosMap
 from authguard_r.normalize.binding import Binding, ToolBinding, ways_of
 from authguard_r.normalize.dialects import Call
 from authguard_r.site.model import ActionModel, Site, stopping_mm
@@ -25,7 +25,7 @@ DURATION = "duration_ms"
 _VELOCITY = ("_mm_s", "_urad_s")
 
 
-class Form(Struct, frozen=True):
+class CallForm(Struct, frozen=True):
     """The shape of a call.
 
     Args:
@@ -41,12 +41,12 @@ class Form(Struct, frozen=True):
     body: str
 
 
-_PUBLISH = Form("publish", "topic", "type", "msg")
+_PUBLISH = CallForm("publish", "topic", "type", "msg")
 FORMS = {
-    Kind.ACTION: Form("send_action_goal", "action", "action_type", "args"),
-    Kind.SERVICE: Form("call_service", "service", "type", "args"),
-    Kind.MESSAGE: _PUBLISH,
-    Kind.STREAM: _PUBLISH,
+    MediationKind.ACTION: CallForm("send_action_goal", "action", "action_type", "args"),
+    MediationKind.SERVICE: CallForm("call_service", "service", "type", "args"),
+    MediationKind.MESSAGE: _PUBLISH,
+    MediationKind.STREAM: _PUBLISH,
 }
 
 
@@ -127,7 +127,7 @@ def fitted(binding: Binding, ros: RosMap, site: Site) -> Binding:
     spoken = bound(binding, ros, site)
     for key, item in ros.mediated.items():
         # a robot that nobody knows to stand is not steered
-        if item.kind is Kind.STREAM and stopping_mm(robot.profile, 1) is None:
+        if item.kind is MediationKind.STREAM and stopping_mm(robot.profile, 1) is None:
             text = "expected a robot whose profile says how it brakes"
             raise MalformedError(text, where=f"mediated.{key}")
     return spoken
@@ -151,10 +151,10 @@ def _item(name: str, tool: ToolBinding, ros: RosMap) -> str:
     return ""
 
 
-def _require_kind(key: str, kind: Kind, model: ActionModel) -> None:
+def _require_kind(key: str, kind: MediationKind, model: ActionModel) -> None:
     """Require that velocities are a stream, and nothing else that moves is a message."""
     where = f"mediated.{key}.kind"
-    if kind is Kind.STREAM and not velocities(model):
+    if kind is MediationKind.STREAM and not velocities(model):
         raise MalformedError("expected what the binding makes velocities for a time", where=where)
-    if kind is Kind.MESSAGE and model.moves:
+    if kind is MediationKind.MESSAGE and model.moves:
         raise MalformedError("expected a stream: what moves the robot goes on moving", where=where)

@@ -21,7 +21,7 @@ from defusedxml.ElementTree import DefusedXMLParser, ParseError
 from msgspec import Struct
 
 from authguard_r.core.errors import MalformedError
-from authguard_r.integrations.ros.rights import Rights, Way
+from authguard_r.integrations.ros.rights import RightKind, Rights
 
 _SCHEMAS = "http://www.omg.org/spec/DDS-SECURITY/20170901"
 _INSTANCE = "http://www.w3.org/2001/XMLSchema-instance"
@@ -46,7 +46,7 @@ TOPIC_RULES = {
 
 _DOMAINS = {"domains": {"id", "id_range"}, "id_range": {"min", "max"}}
 _TOPICS = {"topics": {"topic"}, "partitions": {"partition"}}
-_RULES = {str(way): set(_TOPICS) for way in Way}
+_RULES = {str(way): set(_TOPICS) for way in RightKind}
 #: What may stand in what; in what is not named here, text alone.
 PERMISSIONS = {
     "dds": {"permissions"},
@@ -93,9 +93,9 @@ class Opened(Struct, frozen=True, kw_only=True):
     subscribe: tuple[str, ...]
     everything: bool
 
-    def may(self, way: Way, topic: str) -> bool:
+    def may(self, way: RightKind, topic: str) -> bool:
         """True when the document might let the subject do this."""
-        patterns = self.publish if way is Way.WRITE else self.subscribe
+        patterns = self.publish if way is RightKind.WRITE else self.subscribe
         return self.everything or any(_might_match(pattern, topic) for pattern in patterns)
 
 
@@ -125,7 +125,7 @@ def permissions(
     SubElement(validity, "not_after").text = _time(until)
     rule = SubElement(grant, "allow_rule")
     SubElement(SubElement(rule, "domains"), "id").text = str(domain)
-    for way in Way:
+    for way in RightKind:
         topics = SubElement(SubElement(rule, str(way)), "topics")
         for topic in sorted(rights.of(way)):
             SubElement(topics, "topic").text = topic
@@ -179,10 +179,10 @@ def _flag(text: str | None) -> str:
 
 
 def _grant(grant: Element, *, domain: int, where: str) -> Opened:
-    lists: dict[Way, list[str]] = {way: [] for way in Way}
+    lists: dict[RightKind, list[str]] = {way: [] for way in RightKind}
     for rule in grant.findall("allow_rule"):
         if _is_in(rule, domain):
-            for way in Way:
+            for way in RightKind:
                 found = rule.findall(f"{way}/topics/topic")
                 lists[way] += [(topic.text or "").strip() for topic in found]
     try:
@@ -192,8 +192,8 @@ def _grant(grant: Element, *, domain: int, where: str) -> Opened:
     return Opened(
         subject=_text(grant, "subject_name"),
         until=until if until.tzinfo is not None else until.replace(tzinfo=UTC),
-        publish=tuple(lists[Way.WRITE]),
-        subscribe=tuple(lists[Way.READ]),
+        publish=tuple(lists[RightKind.WRITE]),
+        subscribe=tuple(lists[RightKind.READ]),
         everything=_text(grant, "default") != "DENY",
     )
 

@@ -37,12 +37,12 @@ from authguard_r.integrations.ros.keystore import (
     robots_of,
 )
 from authguard_r.integrations.ros.map import RosMap
-from authguard_r.integrations.ros.rights import Rights, Way, actuating, rights_of, telling
+from authguard_r.integrations.ros.rights import RightKind, Rights, actuating, rights_of, telling
 from authguard_r.integrations.ros.signed import open_text
 from authguard_r.keys.loading import load_pem
 
 
-class Code(StrEnum):
+class KeystoreCode(StrEnum):
     """What is wrong with a keystore."""
 
     MISSING = "ENCLAVE_MISSING"
@@ -61,7 +61,7 @@ class Code(StrEnum):
     STRANGE = "ENCLAVE_BEYOND_MAP"
 
 
-class Fault(Struct, frozen=True, kw_only=True):
+class KeystoreFault(Struct, frozen=True, kw_only=True):
     """One thing that is wrong.
 
     Args:
@@ -70,7 +70,7 @@ class Fault(Struct, frozen=True, kw_only=True):
         message: in words, with what was expected.
     """
 
-    code: Code
+    code: KeystoreCode
     where: str
     message: str
 
@@ -90,7 +90,9 @@ class _Enclave(Struct, frozen=True, kw_only=True):
     certificate: x509.Certificate
 
 
-def check_keystore(ros: RosMap, folder: Path, *, now: datetime | None = None) -> tuple[Fault, ...]:
+def check_keystore(
+    ros: RosMap, folder: Path, *, now: datetime | None = None
+) -> tuple[KeystoreFault, ...]:
     """Return every fault of a keystore for a map; none means that the gate alone moves the robot.
 
     Args:
@@ -114,7 +116,9 @@ def check_keystore(ros: RosMap, folder: Path, *, now: datetime | None = None) ->
     found, seen = _homes(folder / ENCLAVES)
     homes = {"/" + home.relative_to(folder / ENCLAVES).as_posix(): home for home in seen}
     found += [
-        Fault(code=Code.MISSING, where=name, message="expected an enclave of the map")
+        KeystoreFault(
+            code=KeystoreCode.MISSING, where=name, message="expected an enclave of the map"
+        )
         for name in sorted(rights.keys() - homes.keys())
     ]
     public: list[_Enclave] = []
@@ -131,7 +135,7 @@ def check_keystore(ros: RosMap, folder: Path, *, now: datetime | None = None) ->
 
 def check_enclave(
     ros: RosMap, folder: Path, name: str, *, now: datetime | None = None
-) -> tuple[Fault, ...]:
+) -> tuple[KeystoreFault, ...]:
     """Return every fault of one enclave of a keystore: what a process looks at in its own.
 
     Args:
@@ -151,9 +155,9 @@ def check_enclave(
 
 def _enclave_faults(
     enclave: _Enclave, ca: _Authorities, ros: RosMap, wanted: Rights | None, now: datetime
-) -> list[Fault]:
+) -> list[KeystoreFault]:
     """Return what is wrong with each part, whatever is wrong with the others."""
-    found: list[Fault] = []
+    found: list[KeystoreFault] = []
     for part in (
         _identity(enclave, ca, now),
         _named(enclave, ros),
@@ -176,62 +180,70 @@ def _authorities(folder: Path) -> _Authorities:
     return _Authorities(*(_certificate(folder / PUBLIC / f"{name}.cert.pem") for name in names))
 
 
-def _unread(error: AuthGuardError, name: str) -> Fault:
+def _unread(error: AuthGuardError, name: str) -> KeystoreFault:
     is_forged = error.reason is Reason.SIGNATURE_INVALID
-    code = Code.FORGED if is_forged else Code.UNREADABLE
-    return Fault(code=code, where=error.where or name, message=error.message)
+    code = KeystoreCode.FORGED if is_forged else KeystoreCode.UNREADABLE
+    return KeystoreFault(code=code, where=error.where or name, message=error.message)
 
 
-def _homes(root: Path) -> tuple[list[Fault], list[Path]]:
+def _homes(root: Path) -> tuple[list[KeystoreFault], list[Path]]:
     """Return every folder that ROS could take for an enclave: any file of one is enough.
 
     What cannot be looked into is a fault, and so is a link: ROS follows it to wherever it leads.
     """
-    faults: list[Fault] = []
+    faults: list[KeystoreFault] = []
     found: list[Path] = []
 
     def unlisted(error: OSError) -> None:
         message = f"cannot be looked into: {error.strerror}"
-        faults.append(Fault(code=Code.UNREADABLE, where=str(error.filename), message=message))
+        faults.append(
+            KeystoreFault(code=KeystoreCode.UNREADABLE, where=str(error.filename), message=message)
+        )
 
     for name, folders, files in os.walk(root, onerror=unlisted):
         for link in (f"{name}/{one}" for one in folders):
             if os.path.islink(link):  # noqa: PTH114 - of what cannot be asked, it is no error
                 message = "expected a folder, got a link"
-                faults.append(Fault(code=Code.UNREADABLE, where=link, message=message))
+                faults.append(
+                    KeystoreFault(code=KeystoreCode.UNREADABLE, where=link, message=message)
+                )
         if {CERTIFICATE, KEY, PERMISSIONS_P7S} & set(files):
             found.append(Path(name))
     return faults, sorted(found)
 
 
-def _identity(enclave: _Enclave, ca: _Authorities, now: datetime) -> Iterator[Fault]:
+def _identity(enclave: _Enclave, ca: _Authorities, now: datetime) -> Iterator[KeystoreFault]:
     """Yield what is wrong with who an enclave says that it is."""
     certificate, where = enclave.certificate, enclave.name
     names = [item.value for item in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)]
     if names != [enclave.name]:
-        yield Fault(code=Code.FOREIGN, where=where, message=f"expected CN={enclave.name}")
+        yield KeystoreFault(
+            code=KeystoreCode.FOREIGN, where=where, message=f"expected CN={enclave.name}"
+        )
     try:
         certificate.verify_directly_issued_by(ca.identity)
     except (ValueError, TypeError, InvalidSignature):
         text = "expected a certificate of the identity authority"
-        yield Fault(code=Code.FOREIGN, where=where, message=text)
+        yield KeystoreFault(code=KeystoreCode.FOREIGN, where=where, message=text)
     if not certificate.not_valid_before_utc <= now <= certificate.not_valid_after_utc:
-        yield Fault(code=Code.EXPIRED, where=where, message="its certificate does not hold now")
+        yield KeystoreFault(
+            code=KeystoreCode.EXPIRED, where=where, message="its certificate does not hold now"
+        )
     for name, wanted in ((IDENTITY, ca.identity), (PERMISSIONS, ca.permissions)):
         if _certificate(enclave.home / f"{name}.cert.pem") != wanted:
             text = f"`{name}.cert.pem` is another authority's than the keystore's"
-            yield Fault(code=Code.FOREIGN, where=where, message=text)
+            yield KeystoreFault(code=KeystoreCode.FOREIGN, where=where, message=text)
     key = enclave.home / KEY
     if key.exists():
         if stat.S_IMODE(key.stat().st_mode) & 0o077:
             text = f"others than its owner can read `{key}`: chmod 600"
-            yield Fault(code=Code.EXPOSED, where=where, message=text)
+            yield KeystoreFault(code=KeystoreCode.EXPOSED, where=where, message=text)
         if _public_of(key) != _public(certificate):
             text = "its key is not its certificate's"
-            yield Fault(code=Code.FOREIGN, where=where, message=text)
+            yield KeystoreFault(code=KeystoreCode.FOREIGN, where=where, message=text)
 
 
-def _named(enclave: _Enclave, ros: RosMap) -> Iterator[Fault]:
+def _named(enclave: _Enclave, ros: RosMap) -> Iterator[KeystoreFault]:
     """Yield an enclave of another robot, and the gate's if nothing says whose it is.
 
     Robots of one hospital have enclaves of one name: a keystore in the wrong place looks right.
@@ -239,23 +251,23 @@ def _named(enclave: _Enclave, ros: RosMap) -> Iterator[Fault]:
     robots = robots_of(enclave.certificate, where=str(enclave.home / CERTIFICATE))
     if robots and ros.robot not in robots:
         text = f"its certificate is of {', '.join(sorted(robots))}, expected `{ros.robot}`"
-        yield Fault(code=Code.FOREIGN, where=enclave.name, message=text)
+        yield KeystoreFault(code=KeystoreCode.FOREIGN, where=enclave.name, message=text)
     is_gate = enclave.name == ros.enclaves.gate
     if is_gate and not robots and ros.robot not in enclave.name.split("/"):
         text = f"neither its certificate nor its name says that it is `{ros.robot}`'s"
-        yield Fault(code=Code.FOREIGN, where=enclave.name, message=text)
+        yield KeystoreFault(code=KeystoreCode.FOREIGN, where=enclave.name, message=text)
 
 
-def _governed(enclave: _Enclave, ca: _Authorities, ros: RosMap) -> Iterator[Fault]:
+def _governed(enclave: _Enclave, ca: _Authorities, ros: RosMap) -> Iterator[KeystoreFault]:
     path = enclave.home / GOVERNANCE_P7S
     text = open_text(_read(path), ca.permissions, where=str(path))
     for message in governance_faults(text, domain=ros.domain, where=str(path)):
-        yield Fault(code=Code.OPEN, where=enclave.name, message=message)
+        yield KeystoreFault(code=KeystoreCode.OPEN, where=enclave.name, message=message)
 
 
 def _permitted(
     enclave: _Enclave, ca: _Authorities, ros: RosMap, wanted: Rights | None, now: datetime
-) -> Iterator[Fault]:
+) -> Iterator[KeystoreFault]:
     """Yield what an enclave may do that it must not, and what it needs and may not do."""
     path = enclave.home / PERMISSIONS_P7S
     text = open_text(_read(path), ca.permissions, where=str(path))
@@ -263,59 +275,63 @@ def _permitted(
     for grant in grants:
         if grant.subject.replace(" ", "") != f"CN={enclave.name}":
             message = f"its permissions are for `{grant.subject}`"
-            yield Fault(code=Code.FOREIGN, where=enclave.name, message=message)
+            yield KeystoreFault(code=KeystoreCode.FOREIGN, where=enclave.name, message=message)
         if grant.until < now:
-            yield Fault(code=Code.EXPIRED, where=enclave.name, message="its permissions have ended")
-    moving = partial(_writing, Code.ACTUATES, "moves the robot", actuating(ros))
-    falsifying = partial(_writing, Code.FALSIFIES, "says how the robot stands", telling(ros))
+            yield KeystoreFault(
+                code=KeystoreCode.EXPIRED, where=enclave.name, message="its permissions have ended"
+            )
+    moving = partial(_writing, KeystoreCode.ACTUATES, "moves the robot", actuating(ros))
+    falsifying = partial(
+        _writing, KeystoreCode.FALSIFIES, "says how the robot stands", telling(ros)
+    )
     yield from moving(enclave.name, grants)
     yield from falsifying(enclave.name, grants)
     if wanted is None:
         message = "expected no enclave but the map's: nobody says what its rights are for"
-        yield Fault(code=Code.STRANGE, where=enclave.name, message=message)
+        yield KeystoreFault(code=KeystoreCode.STRANGE, where=enclave.name, message=message)
     else:
         yield from _differing(enclave.name, grants, wanted)
 
 
 def _writing(
-    code: Code,
+    code: KeystoreCode,
     does: str,
     topics: Mapping[str, frozenset[str]],
     name: str,
     grants: tuple[Opened, ...],
-) -> Iterator[Fault]:
+) -> Iterator[KeystoreFault]:
     """Yield topics that an enclave may write and must not."""
     for topic, allowed in sorted(topics.items()):
-        if name not in allowed and any(grant.may(Way.WRITE, topic) for grant in grants):
+        if name not in allowed and any(grant.may(RightKind.WRITE, topic) for grant in grants):
             who = ", ".join(sorted(allowed)) or "nobody"
             message = f"it may write `{topic}`, which {does}; expected {who} alone"
-            yield Fault(code=code, where=name, message=message)
+            yield KeystoreFault(code=code, where=name, message=message)
 
 
-def _differing(name: str, grants: tuple[Opened, ...], wanted: Rights) -> Iterator[Fault]:
-    for way in Way:
+def _differing(name: str, grants: tuple[Opened, ...], wanted: Rights) -> Iterator[KeystoreFault]:
+    for way in RightKind:
         for topic in sorted(wanted.of(way)):
             if not any(grant.may(way, topic) for grant in grants):
                 message = f"it may not {way} `{topic}`, which the map has it do"
-                yield Fault(code=Code.LACKS, where=name, message=message)
+                yield KeystoreFault(code=KeystoreCode.LACKS, where=name, message=message)
         named = {
             topic
             for grant in grants
-            for topic in (grant.publish if way is Way.WRITE else grant.subscribe)
+            for topic in (grant.publish if way is RightKind.WRITE else grant.subscribe)
         }
         for topic in sorted(named - wanted.of(way)):
             message = f"it may {way} `{topic}`, which the map does not have it do"
-            yield Fault(code=Code.WIDER, where=name, message=message)
+            yield KeystoreFault(code=KeystoreCode.WIDER, where=name, message=message)
 
 
-def _shared(enclaves: list[_Enclave]) -> Iterator[Fault]:
+def _shared(enclaves: list[_Enclave]) -> Iterator[KeystoreFault]:
     """Yield enclaves with one key: one of them is the other."""
     keys: dict[bytes, str] = {}
     for enclave in enclaves:
         public = _public(enclave.certificate)
         if public in keys:
             message = f"it has the key of `{keys[public]}`"
-            yield Fault(code=Code.SHARED, where=enclave.name, message=message)
+            yield KeystoreFault(code=KeystoreCode.SHARED, where=enclave.name, message=message)
         keys.setdefault(public, enclave.name)
 
 

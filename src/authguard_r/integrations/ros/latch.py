@@ -13,7 +13,7 @@ from enum import StrEnum
 MS = 1_000_000
 
 
-class Why(StrEnum):
+class LatchCause(StrEnum):
     """Why nothing may go."""
 
     #: nobody was heard since the start
@@ -48,7 +48,7 @@ class Latch:
     """
 
     def __init__(self, *, silence_ms: int, settle_ms: int) -> None:
-        self.why: Why | None = Why.START
+        self.why: LatchCause | None = LatchCause.START
         self._silence_ns = silence_ms * MS
         self._settle_ns = settle_ms * MS
         self._who = b""
@@ -60,7 +60,7 @@ class Latch:
         """True while something may go."""
         return self.why is None
 
-    def hear(self, who: bytes, now_ns: int, *, is_neutral: bool) -> Why | None:
+    def hear(self, who: bytes, now_ns: int, *, is_neutral: bool) -> LatchCause | None:
         """Take a sample, and return why it may not go on; None: it may.
 
         Args:
@@ -71,7 +71,7 @@ class Latch:
         is_same = who == self._who
         is_next = is_same and not self._is_silent(now_ns)
         if not is_next:
-            self.stop(Why.SILENCE if is_same else Why.ANOTHER)
+            self.stop(LatchCause.SILENCE if is_same else LatchCause.ANOTHER)
         self._who, self._heard_ns = who, now_ns
         if self.why is None:
             return None
@@ -83,7 +83,7 @@ class Latch:
             self.why = self._neutral_ns = None
         return self.why
 
-    def stop(self, why: Why) -> bool:
+    def stop(self, why: LatchCause) -> bool:
         """Close it, and begin to wait for a fresh lease anew; return True if it was open."""
         self._neutral_ns = None
         was_open = self.is_open
@@ -93,7 +93,7 @@ class Latch:
 
     def look(self, now_ns: int) -> bool:
         """Close it if nothing was heard for too long; return True if that closed it."""
-        return self.is_open and self._is_silent(now_ns) and self.stop(Why.SILENCE)
+        return self.is_open and self._is_silent(now_ns) and self.stop(LatchCause.SILENCE)
 
     def _is_silent(self, now_ns: int) -> bool:
         return self._heard_ns is None or now_ns - self._heard_ns >= self._silence_ns

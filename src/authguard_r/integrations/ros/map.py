@@ -16,7 +16,7 @@ from msgspec import Struct, field
 
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import RobotId, is_identifier
-from authguard_r.integrations.ros.names import Part, is_below, is_enclave, is_name, part_of
+from authguard_r.integrations.ros.names import TypePart, is_below, is_enclave, is_name, part_of
 from authguard_r.site.strict import convert, read_text, read_yaml, require_each
 
 SCHEMA = "authguard-r/ros-map/1"
@@ -28,7 +28,7 @@ TRANSFORMS = ("/tf", "/tf_static")
 MAX_DOMAIN = 101
 
 
-class Kind(StrEnum):
+class MediationKind(StrEnum):
     """How something is mediated."""
 
     ACTION = "action"
@@ -41,10 +41,10 @@ class Kind(StrEnum):
 
 #: What each is a type of.
 PARTS = {
-    Kind.ACTION: Part.ACTION,
-    Kind.SERVICE: Part.SERVICE,
-    Kind.MESSAGE: Part.MESSAGE,
-    Kind.STREAM: Part.MESSAGE,
+    MediationKind.ACTION: TypePart.ACTION,
+    MediationKind.SERVICE: TypePart.SERVICE,
+    MediationKind.MESSAGE: TypePart.MESSAGE,
+    MediationKind.STREAM: TypePart.MESSAGE,
 }
 
 
@@ -59,14 +59,14 @@ class Mediated(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         by: the enclave of the process that serves or hears it.
     """
 
-    kind: Kind
+    kind: MediationKind
     type: str
     public: str
     private: str
     by: str
 
 
-class Shown(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class ShownTopic(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A topic of the robot's that the planner may read, relayed.
 
     Args:
@@ -84,7 +84,7 @@ class Shown(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     channel: str = ""
 
 
-class Proposals(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class TextTopics(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Topics of text for planners that speak no action of ROS.
 
     Args:
@@ -188,15 +188,15 @@ class RosMap(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     enclaves: Enclaves
     mediated: dict[str, Mediated]
     processes: dict[str, Process]
-    shown: dict[str, Shown] = field(default_factory=dict)
-    proposals: Proposals | None = None
+    shown: dict[str, ShownTopic] = field(default_factory=dict)
+    proposals: TextTopics | None = None
     position: Position | None = None
     decisions: str = "/authguard/decisions"
     status: str = "/authguard/status"
     heartbeat: str = "/authguard/heartbeat"
 
 
-_GROUPS: dict[str, type[Struct]] = {"mediated": Mediated, "shown": Shown, "processes": Process}
+_GROUPS: dict[str, type[Struct]] = {"mediated": Mediated, "shown": ShownTopic, "processes": Process}
 
 
 def read_map(path: Path) -> RosMap:
@@ -314,7 +314,7 @@ def _types(ros: RosMap) -> Iterator[tuple[str, str]]:
         if part_of(item.type) is not wanted:
             yield f"mediated.{key}.type", f"expected `package/{wanted}/Name`, got `{item.type}`"
     for key, shown in ros.shown.items():
-        if part_of(shown.type) is not Part.MESSAGE:
+        if part_of(shown.type) is not TypePart.MESSAGE:
             yield f"shown.{key}.type", f"expected `package/msg/Name`, got `{shown.type}`"
 
 

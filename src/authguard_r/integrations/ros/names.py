@@ -16,7 +16,7 @@ _ENCLAVE = re.compile(r"(/[A-Za-z0-9][A-Za-z0-9_-]*)+")
 _TYPE = re.compile(r"([a-z][a-z0-9_]*)/(msg|srv|action)/([A-Z][A-Za-z0-9]*)")
 
 
-class Part(StrEnum):
+class TypePart(StrEnum):
     """The second part of a type's name."""
 
     MESSAGE = "msg"
@@ -34,10 +34,10 @@ def is_enclave(text: str) -> bool:
     return len(text) <= MAX_NAME and _ENCLAVE.fullmatch(text) is not None
 
 
-def part_of(kind: str) -> Part | None:
+def part_of(kind: str) -> TypePart | None:
     """Return the second part of a type's name such as `std_srvs/srv/SetBool`; None: it is none."""
     found = _TYPE.fullmatch(kind)
-    return None if found is None else Part(found[2])
+    return None if found is None else TypePart(found[2])
 
 
 def is_below(name: str, root: str) -> bool:

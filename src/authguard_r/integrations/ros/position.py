@@ -39,7 +39,7 @@ SPACED_MS = 50
 SPEED_MS = 200
 
 
-class Why(StrEnum):
+class DoubtCause(StrEnum):
     """Why nothing is attested."""
 
     #: nothing was sound for long enough yet
@@ -83,7 +83,7 @@ class Why(StrEnum):
     TOO_MUCH = "too_much"
 
 
-class Sample(Struct, frozen=True, kw_only=True):
+class PositionSample(Struct, frozen=True, kw_only=True):
     """One position as somebody says it.
 
     Args:
@@ -133,27 +133,27 @@ class Stamps:
         self._first_ns = self._least_ns = 0  # arrival less stamp: of the first, of the fastest
         self._began_ns = self._arrived_ns = 0
 
-    def take(self, stamp_ns: int, arrived_ns: int) -> int | Why:
+    def take(self, stamp_ns: int, arrived_ns: int) -> int | DoubtCause:
         """Return when it was measured, or why nobody knows."""
         apart = arrived_ns - stamp_ns
         if self._last_ns is None:
             self._first_ns = self._least_ns = apart
             self._began_ns = arrived_ns
         elif stamp_ns <= self._last_ns:
-            return Why.STILL if stamp_ns == self._last_ns else Why.BACK
+            return DoubtCause.STILL if stamp_ns == self._last_ns else DoubtCause.BACK
         else:
             self._least_ns += (arrived_ns - self._arrived_ns) // DRIFT
         # a clock that runs ahead little by little runs ahead too
         drift_ns = (arrived_ns - self._began_ns) // DRIFT
         if apart < self._first_ns - AHEAD_MS * MS - drift_ns:
-            return Why.AHEAD
+            return DoubtCause.AHEAD
         self._last_ns, self._arrived_ns = stamp_ns, arrived_ns
         self._least_ns = min(self._least_ns, apart)
         late_ns = apart - self._least_ns
-        return Why.LATE if late_ns >= SILENCE_MS * MS else arrived_ns - late_ns
+        return DoubtCause.LATE if late_ns >= SILENCE_MS * MS else arrived_ns - late_ns
 
 
-def covariance_fault(values: Sequence[float], margin_mm: int) -> Why | None:
+def covariance_fault(values: Sequence[float], margin_mm: int) -> DoubtCause | None:
     """Return why a pose's covariance does not bear the margin; None: it does, or says nothing.
 
     Args:
@@ -161,18 +161,18 @@ def covariance_fault(values: Sequence[float], margin_mm: int) -> Why | None:
         margin_mm: the radius that has to hold the true position.
     """
     if len(values) != 36:
-        return Why.COVARIANCE
+        return DoubtCause.COVARIANCE
     if not all(math.isfinite(value) for value in values):
-        return Why.NOT_FINITE
+        return DoubtCause.NOT_FINITE
     a, b, other, c = values[0], values[1], values[6], values[7]
     # the longer axis of the ellipse that it is
     longest = (a + c) / 2 + math.hypot((a - c) / 2, b)
     is_one = a >= 0 and c >= 0 and b == other and b * b <= a * c * (1 + 1e-9)
     is_good = DEVIATIONS**2 * longest <= (margin_mm / 1_000) ** 2
-    return None if is_one and is_good else Why.COVARIANCE
+    return None if is_one and is_good else DoubtCause.COVARIANCE
 
 
-class Track:
+class PositionTrack:
     """One robot's positions: `fix` is what may be attested, None while anything is doubtful.
 
     Args:
@@ -182,11 +182,11 @@ class Track:
 
     def __init__(self, *, max_speed_mm_s: int, margin_mm: int) -> None:
         self.fix: Fix | None = None
-        self.why: Why | None = Why.START
+        self.why: DoubtCause | None = DoubtCause.START
         self._max_speed = max_speed_mm_s / 1_000
         self._slack = 2 * margin_mm / 1_000
-        self._kept: deque[Sample] = deque()
-        self._last: Sample | None = None
+        self._kept: deque[PositionSample] = deque()
+        self._last: PositionSample | None = None
         self._since_ns = 0
         self._count = 0
         self._doubted_ns: int | None = None
@@ -196,11 +196,11 @@ class Track:
         """True when the last word was a doubt: what comes next is compared with nothing."""
         return self._last is None
 
-    def take(self, sample: Sample) -> None:
+    def take(self, sample: PositionSample) -> None:
         """Take a position; a doubtful one ends what was sound before it."""
         last = self._last
         if last is not None and sample.newest_ns - last.newest_ns >= SILENCE_MS * MS:
-            self.doubt(Why.SILENCE)
+            self.doubt(DoubtCause.SILENCE)
         fault = self.stranger(sample.who) or self._fault(sample)
         if fault is not None:
             self.doubt(fault)
@@ -211,14 +211,14 @@ class Track:
         if self._count >= SETTLE_SAMPLES and is_settled:
             self.why, self.fix = None, self._fixed(sample)
 
-    def stranger(self, who: bytes) -> Why | None:
+    def stranger(self, who: bytes) -> DoubtCause | None:
         """Return why nobody may say where the robot is by this name; None: who said it before."""
         if not who:
-            return Why.UNNAMED
+            return DoubtCause.UNNAMED
         is_new = self._last is not None and who != self._last.who
-        return Why.ANOTHER if is_new else None
+        return DoubtCause.ANOTHER if is_new else None
 
-    def doubt(self, why: Why) -> None:
+    def doubt(self, why: DoubtCause) -> None:
         """Attest nothing, and forget what was before."""
         self.fix, self.why, self._last, self._count = None, why, None, 0
         self._doubted_ns = None
@@ -231,26 +231,26 @@ class Track:
         elif self._doubted_ns is None:  # the first look after it
             self._doubted_ns, is_silent = now_ns, False
         else:
-            is_said = self.why in {Why.START, Why.SILENCE}
+            is_said = self.why in {DoubtCause.START, DoubtCause.SILENCE}
             is_silent = not is_said and now_ns - self._doubted_ns >= SILENCE_MS * MS
         if is_silent:
-            self.doubt(Why.SILENCE)
+            self.doubt(DoubtCause.SILENCE)
 
-    def _fault(self, sample: Sample) -> Why | None:
+    def _fault(self, sample: PositionSample) -> DoubtCause | None:
         values = (sample.x, sample.y, sample.z, sample.speed or 0.0)
         if not all(math.isfinite(value) for value in values):
-            return Why.NOT_FINITE
+            return DoubtCause.NOT_FINITE
         if abs(sample.z) > HEIGHT_M:
-            return Why.HEIGHT
+            return DoubtCause.HEIGHT
         if any(abs(value) > FAR_M for value in values):
-            return Why.FAR
+            return DoubtCause.FAR
         if sample.newest_ns - sample.oldest_ns >= SILENCE_MS * MS:
-            return Why.SILENCE
+            return DoubtCause.SILENCE
         if self._least_speed(sample) > self._max_speed:
-            return Why.JUMP
+            return DoubtCause.JUMP
         return None
 
-    def _least_speed(self, sample: Sample) -> float:
+    def _least_speed(self, sample: PositionSample) -> float:
         """Return how fast a robot that was at the positions before is at least, in m/s."""
         least = 0.0
         last = () if self._last is None else (self._last,)  # the newest one is not always kept
@@ -261,7 +261,7 @@ class Track:
                 least = max(least, gone / took_s if took_s > 0 else math.inf)
         return least
 
-    def _keep(self, sample: Sample) -> None:
+    def _keep(self, sample: PositionSample) -> None:
         if self._last is None:
             self._since_ns = sample.newest_ns
         self._last = sample
@@ -271,7 +271,7 @@ class Track:
         while sample.newest_ns - kept[0].newest_ns > WINDOW_MS * MS:
             kept.popleft()
 
-    def _fixed(self, sample: Sample) -> Fix:
+    def _fixed(self, sample: PositionSample) -> Fix:
         seen = self._seen_speed(sample) if sample.speed is None else sample.speed
         speed = max(abs(seen), self._least_speed(sample))
         return Fix(
@@ -281,7 +281,7 @@ class Track:
             measured_ns=sample.oldest_ns,
         )
 
-    def _seen_speed(self, sample: Sample) -> float:
+    def _seen_speed(self, sample: PositionSample) -> float:
         """Return the speed that the positions show, in m/s; without taking off any margin."""
         other = self._kept[0]
         for kept in self._kept:

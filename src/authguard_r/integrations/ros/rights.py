@@ -12,7 +12,7 @@ from enum import StrEnum
 
 from msgspec import Struct
 
-from authguard_r.integrations.ros.map import PLANNERS, Kind, Process, RosMap, writers_of
+from authguard_r.integrations.ros.map import PLANNERS, MediationKind, Process, RosMap, writers_of
 
 #: The names of our own nodes.
 GATE_NODE = "/authguard/gate"
@@ -46,7 +46,7 @@ _ACTION_TOPICS = ("feedback", "status")
 _ACTION_SERVICES = ("send_goal", "cancel_goal", "get_result")
 
 
-class Way(StrEnum):
+class RightKind(StrEnum):
     """What a right is to."""
 
     WRITE = "publish"
@@ -64,13 +64,13 @@ class Rights(Struct, frozen=True, kw_only=True):
     publish: frozenset[str]
     subscribe: frozenset[str]
 
-    def of(self, way: Way) -> frozenset[str]:
+    def of(self, way: RightKind) -> frozenset[str]:
         """Return the topics of one way."""
-        return self.publish if way is Way.WRITE else self.subscribe
+        return self.publish if way is RightKind.WRITE else self.subscribe
 
 
 #: A right of one process.
-_Right = tuple[Way, str]
+_Right = tuple[RightKind, str]
 
 
 def rights_of(ros: RosMap) -> dict[str, Rights]:
@@ -90,8 +90,8 @@ def rights_of(ros: RosMap) -> dict[str, Rights]:
         found[enclave] = {*_process(process), *_served(ros, enclave)}
     return {
         enclave: Rights(
-            publish=frozenset(topic for way, topic in rights if way is Way.WRITE),
-            subscribe=frozenset(topic for way, topic in rights if way is Way.READ),
+            publish=frozenset(topic for way, topic in rights if way is RightKind.WRITE),
+            subscribe=frozenset(topic for way, topic in rights if way is RightKind.READ),
         )
         for enclave, rights in found.items()
     }
@@ -109,7 +109,7 @@ def actuating(ros: RosMap) -> dict[str, frozenset[str]]:
         asks, serves = _sides(item.kind, item.private)
         _allow(found, asks, ros.enclaves.gate)
         _allow(found, serves, item.by)
-        if item.kind is Kind.ACTION:
+        if item.kind is MediationKind.ACTION:
             _allow(found, _cancels(item.private), ros.enclaves.deadman)
     for enclave, process in ros.processes.items():
         for node in process.nodes:
@@ -141,7 +141,7 @@ def _allow(
     found: dict[str, set[str]], rights: Iterable[_Right], *enclaves: str, new: bool = True
 ) -> None:
     for way, topic in rights:
-        if way is Way.WRITE and (new or topic in found):
+        if way is RightKind.WRITE and (new or topic in found):
             found.setdefault(topic, set()).update(enclaves)
 
 
@@ -168,7 +168,7 @@ def _displays(ros: RosMap) -> Iterator[_Right]:
 def _deadman(ros: RosMap) -> Iterator[_Right]:
     yield from _reads(ros.heartbeat)
     for item in ros.mediated.values():
-        if item.kind is Kind.ACTION:
+        if item.kind is MediationKind.ACTION:
             yield from _cancels(item.private)
 
 
@@ -213,7 +213,7 @@ def _served(ros: RosMap, enclave: str) -> Iterator[_Right]:
 
 def _node(name: str, *, served: bool = True, events: str = EVENTS) -> Iterator[_Right]:
     """Yield what every node does; one that serves no parameters has fewer rights."""
-    yield from ((way, DISCOVERY) for way in Way)
+    yield from ((way, DISCOVERY) for way in RightKind)
     yield from _writes(events, "/rosout")
     if served:
         yield from _reads(EVENTS)
@@ -221,19 +221,19 @@ def _node(name: str, *, served: bool = True, events: str = EVENTS) -> Iterator[_
             yield from _service(f"{name}/{service}")[1]
 
 
-def _sides(kind: Kind, name: str) -> tuple[list[_Right], list[_Right]]:
+def _sides(kind: MediationKind, name: str) -> tuple[list[_Right], list[_Right]]:
     """Return the rights of who asks, and of who is asked."""
-    if kind is Kind.ACTION:
+    if kind is MediationKind.ACTION:
         return _action(name)
-    if kind is Kind.SERVICE:
+    if kind is MediationKind.SERVICE:
         return _service(name)
     return list(_writes(name)), list(_reads(name))
 
 
 def _service(name: str) -> tuple[list[_Right], list[_Right]]:
     request, reply = f"rq{name}Request", f"rr{name}Reply"
-    asks = [(Way.WRITE, request), (Way.READ, reply)]
-    return asks, [(Way.READ, request), (Way.WRITE, reply)]
+    asks = [(RightKind.WRITE, request), (RightKind.READ, reply)]
+    return asks, [(RightKind.READ, request), (RightKind.WRITE, reply)]
 
 
 def _action(name: str) -> tuple[list[_Right], list[_Right]]:
@@ -251,8 +251,8 @@ def _cancels(name: str) -> Iterable[_Right]:
 
 
 def _writes(*names: str) -> Iterator[_Right]:
-    return ((Way.WRITE, f"rt{name}") for name in names)
+    return ((RightKind.WRITE, f"rt{name}") for name in names)
 
 
 def _reads(*names: str) -> Iterator[_Right]:
-    return ((Way.READ, f"rt{name}") for name in names)
+    return ((RightKind.READ, f"rt{name}") for name in names)

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.reasons import Reason
-from authguard_r.integrations.ros.keycheck import Code, Fault, check_enclave
+from authguard_r.integrations.ros.keycheck import KeystoreCode, KeystoreFault, check_enclave
 from authguard_r.integrations.ros.keystore import ENCLAVES, KEY
 from authguard_r.integrations.ros.map import RosMap
 
@@ -55,7 +55,7 @@ def require_security(ros: RosMap, enclave: str, environment: Mapping[str, str]) 
 
 def security_faults(
     ros: RosMap, enclave: str, environment: Mapping[str, str], *, uid: int | None = None
-) -> Iterator[Fault]:
+) -> Iterator[KeystoreFault]:
     """Yield why a process with these variables would not be in its enclave.
 
     Args:
@@ -86,7 +86,7 @@ def security_faults(
     yield from check_enclave(ros, Path(keystore), enclave)
 
 
-def _key_faults(path: Path, uid: int) -> Iterator[Fault]:
+def _key_faults(path: Path, uid: int) -> Iterator[KeystoreFault]:
     """Yield why the key is not its process's user's alone."""
     try:
         held = path.stat()
@@ -97,5 +97,5 @@ def _key_faults(path: Path, uid: int) -> Iterator[Fault]:
         yield _fault(str(path), "expected a key that this user owns and nobody else can read")
 
 
-def _fault(where: str, message: str) -> Fault:
-    return Fault(code=Code.PLAIN, where=where, message=message)
+def _fault(where: str, message: str) -> KeystoreFault:
+    return KeystoreFault(code=KeystoreCode.PLAIN, where=where, message=message)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from msgspec import Struct
 
-from authguard_r.integrations.ros.position import Stamps, Why
+from authguard_r.integrations.ros.position import DoubtCause, Stamps
 
 #: Most frames that are kept, and most transforms of one message: a robot has some dozens.
 MAX_FRAMES = 256
@@ -43,7 +43,7 @@ class Placed(NamedTuple):
     turned: Quaternion
 
 
-class Link(Struct, frozen=True, kw_only=True):
+class ChildTransform(Struct, frozen=True, kw_only=True):
     """The last transform of a child.
 
     Args:
@@ -59,7 +59,7 @@ class Link(Struct, frozen=True, kw_only=True):
     measured_ns: int | None = None
 
 
-class Way(Struct, frozen=True):
+class FramePath(Struct, frozen=True):
     """Where a child is in a frame.
 
     Args:
@@ -73,11 +73,11 @@ class Way(Struct, frozen=True):
     newest_ns: int
 
 
-def fault_of(placed: Placed) -> Why | None:
+def fault_of(placed: Placed) -> DoubtCause | None:
     """Return why this is no place at all; None: it is one."""
     if not all(math.isfinite(value) for part in placed for value in part):
-        return Why.NOT_FINITE
-    return None if is_unit(placed.turned) else Why.NOT_UNIT
+        return DoubtCause.NOT_FINITE
+    return None if is_unit(placed.turned) else DoubtCause.NOT_UNIT
 
 
 def is_unit(turned: Quaternion) -> bool:
@@ -89,10 +89,10 @@ class Frames:
     """The last transform of each child; nothing is interpolated, and nothing is told ahead."""
 
     def __init__(self) -> None:
-        self._links: dict[str, Link] = {}
+        self._links: dict[str, ChildTransform] = {}
         self._stamps: dict[str, Stamps] = {}
 
-    def put_static(self, child: str, parent: str, placed: Placed) -> Why | None:
+    def put_static(self, child: str, parent: str, placed: Placed) -> DoubtCause | None:
         """Take a transform that never changes; return why it cannot be."""
         known = self._links.get(child)
         fault = fault_of(placed) or self._crowd(child)
@@ -100,8 +100,8 @@ class Frames:
             return fault
         if known is not None and (known.parent, known.placed) != (parent, placed):
             del self._links[child]  # two that never change: neither is believed
-            return Why.ANOTHER
-        self._links[child] = Link(parent=parent, placed=placed)
+            return DoubtCause.ANOTHER
+        self._links[child] = ChildTransform(parent=parent, placed=placed)
         return None
 
     def put(
@@ -113,7 +113,7 @@ class Frames:
         who: bytes,
         stamp_ns: int,
         arrived_ns: int,
-    ) -> Why | None:
+    ) -> DoubtCause | None:
         """Take a transform that changes; return why it cannot be.
 
         One that was said before, by its stamp, is passed over: it makes nothing fresh.
@@ -128,41 +128,43 @@ class Frames:
         """
         known = self._links.get(child)
         if known is not None and known.measured_ns is None:
-            return Why.ANOTHER
+            return DoubtCause.ANOTHER
         if known is not None and (known.who, known.parent) != (who, parent):
             self._drop(child)
-            return Why.ANOTHER
+            return DoubtCause.ANOTHER
         fault = fault_of(placed) or self._crowd(child)
         if fault is not None:
             self._drop(child)
             return fault
         taken = self._stamps.setdefault(child, Stamps()).take(stamp_ns, arrived_ns)
-        if taken is Why.STILL and known is not None and known.placed == placed:
+        if taken is DoubtCause.STILL and known is not None and known.placed == placed:
             return None
-        if isinstance(taken, Why):
+        if isinstance(taken, DoubtCause):
             self._drop(child)
             return taken
-        self._links[child] = Link(parent=parent, placed=placed, who=who, measured_ns=taken)
+        self._links[child] = ChildTransform(
+            parent=parent, placed=placed, who=who, measured_ns=taken
+        )
         return None
 
-    def way(self, frame: str, child: str) -> Way | Why:
+    def way(self, frame: str, child: str) -> FramePath | DoubtCause:
         """Return where the child is in the frame, or why nobody knows."""
         at, name, times = Vector(0.0, 0.0, 0.0), child, list[int]()
         seen: set[str] = set()
         while name != frame:
             link = self._links.get(name)
             if link is None:
-                return Why.NO_WAY
+                return DoubtCause.NO_WAY
             if name in seen:
-                return Why.CYCLE
+                return DoubtCause.CYCLE
             seen.add(name)
             at = _moved(link.placed, at)
             if link.measured_ns is not None:
                 times.append(link.measured_ns)
             name = link.parent
         if not times:  # whatever moves says so
-            return Why.NO_WAY
-        return Way(at, min(times), max(times))
+            return DoubtCause.NO_WAY
+        return FramePath(at, min(times), max(times))
 
     def on_way(self, frame: str, child: str) -> frozenset[str]:
         """Return the frames that are on the way, as far as there is one."""
@@ -175,9 +177,9 @@ class Frames:
             name = link.parent
         return frozenset(seen)
 
-    def _crowd(self, child: str) -> Why | None:
+    def _crowd(self, child: str) -> DoubtCause | None:
         is_full = len(self._links) >= MAX_FRAMES and child not in self._links
-        return Why.TOO_MUCH if is_full else None
+        return DoubtCause.TOO_MUCH if is_full else None
 
     def _drop(self, child: str) -> None:
         """Forget a child: what comes next is its first."""

@@ -16,13 +16,13 @@ from typing import Protocol
 
 from msgspec import Struct
 
-from authguard_r.client.controller import Told
-from authguard_r.client.link import Log, mono_ms
+from authguard_r.client.controller import ExecutionNews
+from authguard_r.client.link import ProcessLog, mono_ms
 from authguard_r.core.action import Action
 from authguard_r.core.errors import ControllerError, MalformedError
 from authguard_r.core.identifiers import Digest, RobotId
 from authguard_r.core.standing import Outcome, Spend
-from authguard_r.integrations.tools.server import Answer, CallError, Server
+from authguard_r.integrations.tools.server import CallError, ToolAnswer, ToolServer
 from authguard_r.normalize import Binder
 from authguard_r.normalize.dialects import Call
 from authguard_r.normalize.expected import Expected
@@ -37,7 +37,7 @@ STOP_S = 1.5
 AGAIN_S, _LOOK_S = 1.0, 0.01
 
 
-class ToolFlight:
+class ToolGoal:
     """One call while it runs (`core.ports.Flight`)."""
 
     def __init__(self, kind: ActionModel) -> None:
@@ -45,7 +45,7 @@ class ToolFlight:
         self._begun_ms = mono_ms()
         self._ended_ms = self._begun_ms
         self._outcome: Outcome | None = None
-        self._told: Told | None = None
+        self._told: ExecutionNews | None = None
 
     @property
     def moves(self) -> bool:
@@ -66,11 +66,11 @@ class ToolFlight:
             recorded_bytes=told if self._kind.records else 0,
         )
 
-    def told(self) -> Told | None:
+    def told(self) -> ExecutionNews | None:
         """Return what it brought to light."""
         return self._told
 
-    def end(self, outcome: Outcome, told: Told | None = None) -> None:
+    def end(self, outcome: Outcome, told: ExecutionNews | None = None) -> None:
         """Note how it ended; the first word counts."""
         if self._outcome is None:
             self._outcome, self._told, self._ended_ms = outcome, told, mono_ms()
@@ -88,7 +88,7 @@ class Rebuilds(Protocol):
         ...
 
 
-class Means(Struct, frozen=True, kw_only=True):
+class ToolDrivers(Struct, frozen=True, kw_only=True):
     """What a body drives with.
 
     Args:
@@ -120,14 +120,19 @@ class ToolBody:
     late_ms = 0
 
     def __init__(
-        self, rid: RobotId, server: Server, means: Means, changed: Callable[[], None], log: Log
+        self,
+        rid: RobotId,
+        server: ToolServer,
+        means: ToolDrivers,
+        changed: Callable[[], None],
+        log: ProcessLog,
     ) -> None:
         self.rid = rid
         self._log = log
         self._server = server
         self._means = means
         self._changed = changed
-        self._flight: ToolFlight | None = None
+        self._flight: ToolGoal | None = None
         self._is_told = False  # to move, and nobody has said that it does not
         self._was_told = bool(means.stops)  # perhaps by a start before, which nobody remembers
         self._is_stopping = False
@@ -143,7 +148,7 @@ class ToolBody:
         """Return False: it makes one call at a time."""
         return False
 
-    def begin(self, action: Action, ticket: Digest) -> ToolFlight:
+    def begin(self, action: Action, ticket: Digest) -> ToolGoal:
         """Make the call.
 
         Raises:
@@ -158,7 +163,7 @@ class ToolBody:
             call = self._means.rebuilder.rebuild(action)
         except MalformedError as error:
             raise ControllerError(error.message) from error
-        flight = self._flight = ToolFlight(self._means.site.vocabulary[action.type])
+        flight = self._flight = ToolGoal(self._means.site.vocabulary[action.type])
         before, self._is_told = self._is_told, self._is_told or flight.moves
         self._task = asyncio.ensure_future(self._carry(flight, call, ticket, before))
         return flight
@@ -210,7 +215,7 @@ class ToolBody:
 
     async def _carry(
         self,
-        flight: ToolFlight,
+        flight: ToolGoal,
         call: Call,
         ticket: Digest,
         before: bool,  # noqa: FBT001
@@ -277,7 +282,7 @@ class ToolBody:
 
     async def _made(
         self, call: Call, wanted: Expected, within_s: float, ticket: Digest | None = None
-    ) -> tuple[Answer, bool]:
+    ) -> tuple[ToolAnswer, bool]:
         """Make a call; return its answer, and whether that says that it has done its work.
 
         Raises:

@@ -16,15 +16,15 @@ from msgspec import Struct
 
 from authguard_r.client.driver import Driver
 from authguard_r.client.handshake import GateVerifier
-from authguard_r.client.link import Log, require_folder
+from authguard_r.client.link import ProcessLog, require_folder
 from authguard_r.client.reconnecting import GatePlace
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.reasons import Reason
-from authguard_r.integrations.tools.body import Means, Rebuilds, ToolBody
+from authguard_r.integrations.tools.body import Rebuilds, ToolBody, ToolDrivers
 from authguard_r.integrations.tools.files import words_of
-from authguard_r.integrations.tools.planner import Planner
-from authguard_r.integrations.tools.server import Server
+from authguard_r.integrations.tools.planner import ToolPlanner
+from authguard_r.integrations.tools.server import ToolServer
 from authguard_r.normalize import Binder
 from authguard_r.normalize.binding import Binding
 from authguard_r.normalize.dialects import Call
@@ -36,7 +36,7 @@ from authguard_r.wire.messages import Mode
 START_S = 30.0
 
 
-class Place(Struct, frozen=True, kw_only=True):
+class GateTarget(Struct, frozen=True, kw_only=True):
     """Which robot and which gate, and how it is driven.
 
     Args:
@@ -76,13 +76,17 @@ class Ends:
     """
 
     def __init__(
-        self, place: Place, server: Server, log: Log, rebuilder: Rebuilds | None = None
+        self,
+        place: GateTarget,
+        server: ToolServer,
+        log: ProcessLog,
+        rebuilder: Rebuilds | None = None,
     ) -> None:
         require_folder(place.run)
         self._place = place
         self._server = server
         speaks = words_of(place.site, place.binding)
-        self.planner = Planner(
+        self.planner = ToolPlanner(
             GatePlace(
                 robot=place.robot,
                 run=place.run,
@@ -92,7 +96,7 @@ class Ends:
                 speaks=speaks,
             )
         )
-        means = Means(
+        means = ToolDrivers(
             site=place.site,
             binder=Binder(place.site, place.binding),
             rebuilder=rebuilder or Rebuilder(place.site, place.binding),

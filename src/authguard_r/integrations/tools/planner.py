@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 from msgspec import Struct
 
 from authguard_r.client import AsyncGateClient
-from authguard_r.client.reconnecting import GatePlace, KeptGate
+from authguard_r.client.reconnecting import GatePlace, ReconnectingClient
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault, MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize.bind import UNTOLD
@@ -31,7 +31,7 @@ MAX_NOTED = 30_000
 SHOWN = ("outcome", "reasons", "findings", "retryable", "required_approvals", "seq")
 
 
-class Asked(Struct, frozen=True, kw_only=True):
+class CallOutcome(Struct, frozen=True, kw_only=True):
     """What became of one call, as the gate tells it.
 
     Args:
@@ -89,7 +89,7 @@ class LostError(Exception):
         self.error = error
 
 
-class Turn:
+class PlannerTurn:
     """Who may ask the gate now: one after the other, and nobody before the last answer is there.
 
     Whoever asked may give up. What he asked goes on, and the gate takes one proposal of a client.
@@ -127,7 +127,7 @@ class Turn:
             going.exception()  # if nobody waits for it, nobody wants to know
 
 
-class Planner:
+class ToolPlanner:
     """Proposes calls to a gate.
 
     Args:
@@ -135,8 +135,8 @@ class Planner:
     """
 
     def __init__(self, place: GatePlace) -> None:
-        self.turn = Turn()
-        self._kept = KeptGate(place, ClientRole.PLANNER)
+        self.turn = PlannerTurn()
+        self._kept = ReconnectingClient(place, ClientRole.PLANNER)
         self._is_over = False
 
     async def propose(
@@ -146,7 +146,7 @@ class Planner:
         *,
         key: str | None = None,
         told: Callable[[dict[str, Any]], None] | None = None,
-    ) -> Asked:
+    ) -> CallOutcome:
         """Propose a call; whoever calls this holds the `turn`.
 
         Args:
@@ -174,7 +174,7 @@ class Planner:
 
         answer = await self.plan(data, key=key, dialect="json", told=hear)
         (step, *_) = answer["steps"]
-        return Asked(step=step, brought=tuple(brought), repeated=answer["repeated"])
+        return CallOutcome(step=step, brought=tuple(brought), repeated=answer["repeated"])
 
     async def plan(
         self,

@@ -12,9 +12,9 @@ from typing import Any, Protocol
 import msgspec
 from msgspec import Struct
 
-from authguard_r.client.controller import Told
+from authguard_r.client.controller import ExecutionNews
 from authguard_r.core.identifiers import Digest
-from authguard_r.normalize.expected import TEXT, Constant, Expected, Match, matches, same
+from authguard_r.normalize.expected import TEXT, AnswerMatch, Constant, Expected, matches, same
 from authguard_r.wire.messages import BOUND, Kind, Result
 
 #: Longest answer that passes, in bytes; base64 makes a frame of it that the gate reads.
@@ -40,7 +40,7 @@ class CallError(Exception):
         self.sent = sent
 
 
-class Answer(Struct, frozen=True, kw_only=True):
+class ToolAnswer(Struct, frozen=True, kw_only=True):
     """What came of a call.
 
     Args:
@@ -53,7 +53,7 @@ class Answer(Struct, frozen=True, kw_only=True):
     is_error: bool
     structured: Any = None
     text: str = ""
-    told: Told | None = None
+    told: ExecutionNews | None = None
 
     def is_done(self, expected: Expected) -> bool:
         """True when it says that the tool has done its work, and nowhere that it has not."""
@@ -61,9 +61,9 @@ class Answer(Struct, frozen=True, kw_only=True):
             return False
         return all(self._holds(*item) for item in expected.succeeds.items())
 
-    def _holds(self, path: str, wanted: Constant | Match) -> bool:
+    def _holds(self, path: str, wanted: Constant | AnswerMatch) -> bool:
         value = self._at(path)
-        return matches(value, wanted) if isinstance(wanted, Match) else same(value, wanted)
+        return matches(value, wanted) if isinstance(wanted, AnswerMatch) else same(value, wanted)
 
     def _at(self, path: str) -> Any:
         if path == TEXT:
@@ -76,7 +76,7 @@ class Answer(Struct, frozen=True, kw_only=True):
         return value
 
 
-class Server(Protocol):
+class ToolServer(Protocol):
     """Carries out calls, one at a time but for those that stop the robot."""
 
     @property
@@ -91,7 +91,7 @@ class Server(Protocol):
         within_s: float,
         *,
         ticket: Digest | None = None,
-    ) -> Answer:
+    ) -> ToolAnswer:
         """Carry out a call; canceled, it is called off as far as that can be done.
 
         Args:
@@ -106,7 +106,7 @@ class Server(Protocol):
         ...
 
 
-def fits(told: Told) -> bool:
+def fits(told: ExecutionNews) -> bool:
     """True of an answer that passes through the gate."""
     if len(told.content) > MAX_ANSWER or sum(map(len, told.texts)) > MAX_TEXT:
         return False

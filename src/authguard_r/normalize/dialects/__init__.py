@@ -10,11 +10,11 @@ from __future__ import annotations
 
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
-from authguard_r.normalize.dialects.auto import Reading, read
+from authguard_r.normalize.dialects.auto import PlanReading, read
 from authguard_r.normalize.dialects.call import Call, Dialect, expect_few
 
 
-def read_reply(text: str, dialect: Dialect) -> Reading:
+def read_reply(text: str, dialect: Dialect) -> PlanReading:
     """Return the calls of a plan, in order, and the dialect that they were read in.
 
     Args:
@@ -44,4 +44,4 @@ def read_plan(text: str, dialect: Dialect) -> tuple[Call, ...]:
     return read_reply(text, dialect).calls
 
 
-__all__ = ["Call", "Dialect", "Reading", "read_plan", "read_reply"]
+__all__ = ["Call", "Dialect", "PlanReading", "read_plan", "read_reply"]

@@ -74,14 +74,14 @@ _CODE = re.compile(r"[ \t\r\n]*(?:#|[A-Za-z_][A-Za-z0-9_.]*\()")
 _SINGLE = re.compile(r"[ \t\r\n]*\{[ \t\r\n]*'")
 
 
-class Reading(Struct, frozen=True):
+class PlanReading(Struct, frozen=True):
     """What a plan says, and in which dialect; never `auto`."""
 
     dialect: Dialect
     calls: tuple[Call, ...]
 
 
-def read(text: str, dialect: Dialect) -> Reading:
+def read(text: str, dialect: Dialect) -> PlanReading:
     """Return what a plan says in a dialect, or in the one that fits.
 
     Args:
@@ -100,10 +100,10 @@ def read(text: str, dialect: Dialect) -> Reading:
         calls = _OF_TEXT[dialect](text)
     else:
         calls = _OF_JSON[dialect](read_json(text, where="input"))
-    return Reading(dialect, calls)
+    return PlanReading(dialect, calls)
 
 
-def _recognized(text: str) -> Reading:
+def _recognized(text: str) -> PlanReading:
     first = text.lstrip(_SPACE)[:1]
     if first not in {"{", "["}:
         return _of_words(text)
@@ -115,14 +115,14 @@ def _recognized(text: str) -> Reading:
     return _agreed(value, _claims(value))
 
 
-def _of_words(text: str) -> Reading:
+def _of_words(text: str) -> PlanReading:
     """Read a plan that is not in JSON; by their first words, these dialects exclude each other.
 
     Whatever `calls` reads, `python` reads alike or not at all (a property holds them to it), so
     the second is asked only where the first refuses.
     """
     if not text.strip(_SPACE):
-        return Reading(Dialect.CALLS, ())
+        return PlanReading(Dialect.CALLS, ())
     if _CALL.match(text):
         try:
             return read(text, Dialect.CALLS)
@@ -138,7 +138,7 @@ def _of_words(text: str) -> Reading:
     raise _unknown("no dialect begins like this", f"input[{at}]")
 
 
-def _code_or(error: MalformedError, text: str) -> Reading:
+def _code_or(error: MalformedError, text: str) -> PlanReading:
     try:
         return read(text, Dialect.PYTHON)
     except MalformedError:
@@ -162,16 +162,16 @@ def _claims(value: Any) -> list[Dialect]:
     return [Dialect.STEPS] if isinstance(value, list) and isinstance(value[0], str) else []
 
 
-def _agreed(value: Any, claims: list[Dialect]) -> Reading:
+def _agreed(value: Any, claims: list[Dialect]) -> PlanReading:
     if not claims:
         raise _unknown("no dialect has such JSON", "input")
     if len(claims) == 1:
-        return Reading(claims[0], _OF_JSON[claims[0]](value))
-    fitting: list[Reading] = []
+        return PlanReading(claims[0], _OF_JSON[claims[0]](value))
+    fitting: list[PlanReading] = []
     refusals: list[MalformedError] = []
     for dialect in claims:
         try:
-            fitting.append(Reading(dialect, _OF_JSON[dialect](value)))
+            fitting.append(PlanReading(dialect, _OF_JSON[dialect](value)))
         except MalformedError as error:
             refusals.append(error)
     if not fitting:
@@ -184,7 +184,7 @@ def _agreed(value: Any, claims: list[Dialect]) -> Reading:
     return fitting[0]
 
 
-def _said(reading: Reading) -> str:
+def _said(reading: PlanReading) -> str:
     """Return the calls as text in which `1`, `1.0` and `True` are three things."""
     return repr([(call.tool, call.arguments) for call in reading.calls])
 

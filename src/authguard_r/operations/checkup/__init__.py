@@ -25,7 +25,7 @@ from authguard_r.normalize.binding import Binding
 from authguard_r.normalize.interface import Surface
 from authguard_r.operations.checkup.advice import (
     Advice,
-    Code,
+    AdviceCode,
     Level,
     fine,
     in_demonstration,
@@ -63,7 +63,7 @@ _LONGEST_SOCKET = 107
 _LONGEST_NAME = "/sensors.sock"
 
 
-class Setup(Struct, frozen=True, kw_only=True):
+class GateSetup(Struct, frozen=True, kw_only=True):
     """The parts of one gate; what is None is not looked at.
 
     Args:
@@ -108,7 +108,7 @@ class Setup(Struct, frozen=True, kw_only=True):
     around: tuple[Path, ...] = ()
 
 
-def checkup(setup: Setup, now: Now) -> tuple[Advice, ...]:
+def checkup(setup: GateSetup, now: Now) -> tuple[Advice, ...]:
     """Return everything that was looked at, in the order in which people mend it."""
     found = [*machine_advice(), *_trust(setup, now), *_custody(setup)]
     if setup.binding is not None and setup.site is not None:
@@ -122,7 +122,7 @@ def checkup(setup: Setup, now: Now) -> tuple[Advice, ...]:
     return tuple(map(in_demonstration, found)) if setup.demo else tuple(found)
 
 
-def _check(setup: Setup) -> str:
+def _check(setup: GateSetup) -> str:
     """Return the command that compares the binding, with the files that were named."""
     names = [setup.tools, *(["--site", setup.model] if setup.model else [])]
     words = ["authguard", "binding", "check", *(shlex.quote(str(name)) for name in names if name)]
@@ -130,7 +130,7 @@ def _check(setup: Setup) -> str:
     return " ".join([*words, *([] if setup.interface else ["--interface", "FILE"])])
 
 
-def require_safe(setup: Setup, now: Now) -> tuple[Advice, ...]:
+def require_safe(setup: GateSetup, now: Now) -> tuple[Advice, ...]:
     """Return everything that was looked at, once nothing of it forbids to start.
 
     Low disk space and a wrong clock do not: with these a gate serves stops, and refuses the rest.
@@ -152,7 +152,7 @@ def require_safe(setup: Setup, now: Now) -> tuple[Advice, ...]:
     return found
 
 
-def _trust(setup: Setup, now: Now) -> Iterator[Advice]:
+def _trust(setup: GateSetup, now: Now) -> Iterator[Advice]:
     """Root, lists, certificates, and who the gate is."""
     if setup.trust is None:
         return
@@ -160,13 +160,13 @@ def _trust(setup: Setup, now: Now) -> Iterator[Advice]:
         trust = read_trust(setup.trust)
     except AuthGuardError as error:
         yield unsafe(
-            "trust", Code.TRUST, str(error), place=error.where, mend="authguard keys init DIR"
+            "trust", AdviceCode.TRUST, str(error), place=error.where, mend="authguard keys init DIR"
         )
         return
     if trust.demo:
         yield unsafe(
             "trust",
-            Code.DEMO_ROOT,
+            AdviceCode.DEMO_ROOT,
             "the root says `demo`: every private key lies in this folder",
             place=str(setup.trust),
             mend="make a set-up whose keys stay on their own machines",
@@ -184,42 +184,44 @@ def _trust(setup: Setup, now: Now) -> Iterator[Advice]:
             yield from _own_certificate(leaves_of(path, trust, now)[0], part, setup)
 
 
-def _beside(setup: Setup, pattern: str) -> tuple[Path, ...]:
+def _beside(setup: GateSetup, pattern: str) -> tuple[Path, ...]:
     """Return what lies beside the parts, a person's own key and certificate among it."""
     named = {path.resolve() for path in (setup.key, setup.chain) if path is not None}
     found = sorted(path for folder in setup.around for path in folder.glob(pattern))
     return tuple(path for path in found if path.resolve() not in named)
 
 
-def _is_gate(setup: Setup) -> bool:
+def _is_gate(setup: GateSetup) -> bool:
     """True when a gate is looked at, and not a person's or another machine's own files."""
     if any(part is not None for part in (setup.config, setup.store, setup.run)):
         return True
     return role_of(setup.key, setup.chain) in {None, Role.GATE}
 
 
-def _own_certificate(leaf: Leaf, part: str, setup: Setup) -> Iterator[Advice]:
+def _own_certificate(leaf: Leaf, part: str, setup: GateSetup) -> Iterator[Advice]:
     """The gate's robot and profile come from here, so configuration and site must agree."""
     place = str(setup.chain)
     if not _is_gate(setup):
         return  # whoever it is, it holds
     if leaf.role is not Role.GATE or leaf.robot is None:
         message = f"expected a gate's certificate, got a `{leaf.role}`'s"
-        yield unsafe(part, Code.CERTIFICATE, message, place=place, mend="name the gate's own")
+        yield unsafe(part, AdviceCode.CERTIFICATE, message, place=place, mend="name the gate's own")
         return
     if setup.config is not None and setup.config.robot != leaf.robot:
         message = f"it is `{leaf.robot}`'s, the configuration is `{setup.config.robot}`'s"
-        yield unsafe("config", Code.CONFIG, message, place=place, mend="name this robot's own")
+        yield unsafe(
+            "config", AdviceCode.CONFIG, message, place=place, mend="name this robot's own"
+        )
     robot = None if setup.site is None else setup.site.robots.get(leaf.robot)
     if setup.site is not None and (robot is None or profile_digest(robot.profile) != leaf.profile):
         message = f"the site's robot `{leaf.robot}` is not the one that this certificate names"
         mend = "sign the site that fits, or issue the gate's certificate again"
         if setup.demo:
             mend = f"make keys for it: authguard keys init FOLDER --site {setup.model}"
-        yield unsafe("site", Code.SITE, message, place=place, mend=mend)
+        yield unsafe("site", AdviceCode.SITE, message, place=place, mend=mend)
 
 
-def _custody(setup: Setup) -> Iterator[Advice]:
+def _custody(setup: GateSetup) -> Iterator[Advice]:
     """Files, folders and keys."""
     gates = None if setup.key is None else setup.key.resolve()
     lying = () if setup.trust is None else setup.trust.glob(f"keys/*{KEY_END}")
@@ -242,7 +244,7 @@ def _custody(setup: Setup) -> Iterator[Advice]:
         yield from _strays(setup)
 
 
-def _strays(setup: Setup) -> Iterator[Advice]:
+def _strays(setup: GateSetup) -> Iterator[Advice]:
     """Private keys that do not belong where they lie."""
     authorities = _authority_keys(setup.trust)
     is_named = any(part is not None for part in (setup.key, setup.chain, setup.config))
@@ -268,7 +270,7 @@ def _authority_keys(folder: Path | None) -> dict[bytes, str]:
     return {key_of(cert, where=name).public_bytes_raw(): name for cert, name in named}
 
 
-def _files(setup: Setup) -> Files:
+def _files(setup: GateSetup) -> Files:
     """Return what is written, and what is read and must not be written over."""
     root = None if setup.trust is None else setup.trust / "root.pem"
     read = (root, setup.key, setup.chain, *setup.files)
@@ -280,26 +282,30 @@ def _files(setup: Setup) -> Files:
     )
 
 
-def _run(setup: Setup) -> Iterator[Advice]:
+def _run(setup: GateSetup) -> Iterator[Advice]:
     """The folder of the sockets."""
     if setup.run is None:
         return
     place = str(setup.run)
     if len(os.fsencode(place + _LONGEST_NAME)) > _LONGEST_SOCKET:
         message = f"its sockets' paths are longer than {_LONGEST_SOCKET} bytes"
-        yield unsafe("run", Code.PATH_LONG, message, place=place, mend="use a shorter path")
+        yield unsafe("run", AdviceCode.PATH_LONG, message, place=place, mend="use a shorter path")
     if setup.run.exists() and not setup.run.is_dir():
         mend = "name a folder"
-        yield unsafe("run", Code.MISSING, "expected a folder, got a file", place=place, mend=mend)
+        yield unsafe(
+            "run", AdviceCode.MISSING, "expected a folder, got a file", place=place, mend=mend
+        )
         return
     if not setup.run.is_dir():
-        yield warning("run", Code.MISSING, "no such folder", place=place, mend=f"mkdir {place}")
+        yield warning(
+            "run", AdviceCode.MISSING, "no such folder", place=place, mend=f"mkdir {place}"
+        )
         return
     found = tuple(file_advice("run", setup.run, uid=setup.uid))
-    yield from found or [fine("run", Code.WRITABLE, "its user's alone to write", place=place)]
+    yield from found or [fine("run", AdviceCode.WRITABLE, "its user's alone to write", place=place)]
 
 
-def _store(setup: Setup, now: Now) -> Iterator[Advice]:
+def _store(setup: GateSetup, now: Now) -> Iterator[Advice]:
     """The store, its folder's room, and how its log is anchored."""
     if setup.store is None:
         return
@@ -307,7 +313,7 @@ def _store(setup: Setup, now: Now) -> Iterator[Advice]:
     if not folder.is_dir():
         yield unsafe(
             "store",
-            Code.MISSING,
+            AdviceCode.MISSING,
             f"no folder `{folder}`",
             place=str(folder),
             mend=f"mkdir -m 700 {folder}",

@@ -20,7 +20,7 @@ class Level(StrEnum):
     UNSAFE = "unsafe"
 
 
-class Code(StrEnum):
+class AdviceCode(StrEnum):
     """What a finding is about; stable, for programs."""
 
     PYTHON = "PYTHON"
@@ -73,12 +73,18 @@ class Code(StrEnum):
 
 #: What one folder for everything cannot help; a demonstration is told of it and goes on.
 _IN_ONE_FOLDER = frozenset(
-    {Code.DEMO_ROOT, Code.WRITABLE, Code.OWNER, Code.SHARED_USER, Code.ROOT_USER}
+    {
+        AdviceCode.DEMO_ROOT,
+        AdviceCode.WRITABLE,
+        AdviceCode.OWNER,
+        AdviceCode.SHARED_USER,
+        AdviceCode.ROOT_USER,
+    }
 )
 #: With these a gate serves stops and refuses the rest by itself; not starting would help nobody.
-_SERVED = frozenset({Code.CLOCK_BEHIND, Code.CLOCK_KEPT, Code.DISK})
+_SERVED = frozenset({AdviceCode.CLOCK_BEHIND, AdviceCode.CLOCK_KEPT, AdviceCode.DISK})
 #: These destroy what is there; no demonstration starts with them either.
-_DESTROYS = frozenset({Code.SAME_FILE})
+_DESTROYS = frozenset({AdviceCode.SAME_FILE})
 
 
 class Advice(Struct, frozen=True, kw_only=True):
@@ -95,25 +101,25 @@ class Advice(Struct, frozen=True, kw_only=True):
 
     part: str
     level: Level
-    code: Code
+    code: AdviceCode
     message: str
     place: str = ""
     mend: str = ""
 
 
-def fine(part: str, code: Code, message: str, *, place: str = "") -> Advice:
+def fine(part: str, code: AdviceCode, message: str, *, place: str = "") -> Advice:
     """Return that something is as it must be."""
     return Advice(part=part, level=Level.OK, code=code, message=message, place=place)
 
 
-def warning(part: str, code: Code, message: str, *, mend: str, place: str = "") -> Advice:
+def warning(part: str, code: AdviceCode, message: str, *, mend: str, place: str = "") -> Advice:
     """Return that something works and protects less."""
     return Advice(
         part=part, level=Level.WARNING, code=code, message=message, place=place, mend=mend
     )
 
 
-def unsafe(part: str, code: Code, message: str, *, mend: str, place: str = "") -> Advice:
+def unsafe(part: str, code: AdviceCode, message: str, *, mend: str, place: str = "") -> Advice:
     """Return that something must be mended first."""
     return Advice(part=part, level=Level.UNSAFE, code=code, message=message, place=place, mend=mend)
 

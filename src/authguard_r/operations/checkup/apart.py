@@ -15,7 +15,7 @@ from pathlib import Path
 from msgspec import Struct
 
 from authguard_r.anchoring.counter import FileCounter
-from authguard_r.operations.checkup.advice import Advice, Code, unsafe
+from authguard_r.operations.checkup.advice import Advice, AdviceCode, unsafe
 
 #: What is written beside a store, under its name.
 _BESIDE = ("-wal", "-shm", "-journal", ".gate", ".reserve")
@@ -55,7 +55,7 @@ def apart_advice(files: Files) -> Iterator[Advice]:
         if one.option != other.option and _is_same(one.path, other.path):
             yield unsafe(
                 "files",
-                Code.SAME_FILE,
+                AdviceCode.SAME_FILE,
                 f"`{other.path}` is written for {one.option}, and it is {other.option} too",
                 place=str(one.path),
                 mend="name a file of its own for each",

@@ -18,7 +18,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.keys.certificate import Leaf
 from authguard_r.keys.loading import load
 from authguard_r.keys.trust import ROOT_LISTS, Trust, pairs, read_certificates
-from authguard_r.operations.checkup.advice import Advice, Code, unsafe, warning
+from authguard_r.operations.checkup.advice import Advice, AdviceCode, unsafe, warning
 
 #: How long before its end a certificate is warned of.
 SOON_MS = 30 * 86_400_000
@@ -39,10 +39,10 @@ def list_advice(trust: Trust, folder: Path, now: Now) -> Iterator[Advice]:
         left_ms, life_ms = known.next_update_ms - now.utc_ms, known.next_update_ms - known.issued_ms
         if left_ms < 0:
             message = f"stale since {told}: nothing that it covers is believed"
-            yield unsafe(part, Code.REVOCATIONS, message, place=str(where), mend=_FRESH)
+            yield unsafe(part, AdviceCode.REVOCATIONS, message, place=str(where), mend=_FRESH)
         elif left_ms * _LEAST_PARTS < life_ms:
             message = f"stale after {told}: less than a quarter of its life is left"
-            yield warning(part, Code.REVOCATIONS, message, place=str(where), mend=_FRESH)
+            yield warning(part, AdviceCode.REVOCATIONS, message, place=str(where), mend=_FRESH)
 
 
 def authority_advice(trust: Trust, folder: Path, now: Now) -> Iterator[Advice]:
@@ -58,10 +58,10 @@ def authority_advice(trust: Trust, folder: Path, now: Now) -> Iterator[Advice]:
         told = to_timestamp(end_ms)
         if end_ms < now.utc_ms:
             message = f"ended {told}: nothing under it is believed"
-            yield unsafe(part, Code.CERTIFICATE, message, place=place, mend=_NEXT)
+            yield unsafe(part, AdviceCode.CERTIFICATE, message, place=place, mend=_NEXT)
         else:
             message = f"ends {told}, and everything under it then"
-            yield warning(part, Code.CERTIFICATE, message, place=place, mend=_NEXT)
+            yield warning(part, AdviceCode.CERTIFICATE, message, place=place, mend=_NEXT)
 
 
 def certificate_advice(path: Path, trust: Trust, now: Now) -> Iterator[Advice]:
@@ -70,11 +70,13 @@ def certificate_advice(path: Path, trust: Trust, now: Now) -> Iterator[Advice]:
     try:
         leaves = leaves_of(path, trust, now)
     except AuthGuardError as error:
-        yield unsafe(part, Code.CERTIFICATE, str(error), place=str(path), mend="issue it again")
+        yield unsafe(
+            part, AdviceCode.CERTIFICATE, str(error), place=str(path), mend="issue it again"
+        )
         return
     if len({leaf.root for leaf in leaves}) != len(trust.roots):
         message = f"expected a chain to each of {len(trust.roots)} roots, got {len(leaves)}"
-        yield unsafe(part, Code.CERTIFICATE, message, place=str(path), mend="issue it again")
+        yield unsafe(part, AdviceCode.CERTIFICATE, message, place=str(path), mend="issue it again")
         return
     yield from _ending(part, path, trust, now)
 
@@ -89,7 +91,7 @@ def issued_advice(paths: Iterable[Path], trust: Trust, now: Now) -> Iterator[Adv
             if error.reason not in _OVER:
                 part = f"issued/{path.name}"
                 mend = "move it elsewhere"
-                yield unsafe(part, Code.CERTIFICATE, str(error), place=str(path), mend=mend)
+                yield unsafe(part, AdviceCode.CERTIFICATE, str(error), place=str(path), mend=mend)
             continue
         name, end = leaves[0].principal, (_ends_ms(path, trust), path)
         known = last.get(name)
@@ -115,7 +117,7 @@ def _ending(part: str, path: Path, trust: Trust, now: Now) -> Iterator[Advice]:
         above_ms = min(map(_end_ms, (*_certificates(path)[1::2], *trust.roots)))
         mend = _NEXT if above_ms == until_ms else _RENEW  # nobody is given more than they have
         message = f"usable only until {to_timestamp(until_ms)}"
-        yield warning(part, Code.CERTIFICATE, message, place=str(path), mend=mend)
+        yield warning(part, AdviceCode.CERTIFICATE, message, place=str(path), mend=mend)
 
 
 def _ends_ms(path: Path, trust: Trust) -> int:

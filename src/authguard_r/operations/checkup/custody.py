@@ -21,7 +21,7 @@ from authguard_r.keys.certificate import Role, read_claims
 from authguard_r.keys.files import holds_key, holds_plain_key
 from authguard_r.keys.loading import load_pem
 from authguard_r.keys.signer import read_keys
-from authguard_r.operations.checkup.advice import Advice, Code, fine, unsafe, warning
+from authguard_r.operations.checkup.advice import Advice, AdviceCode, fine, unsafe, warning
 
 #: Most files that are looked through for keys in one folder.
 _MOST_FILES = 4_096
@@ -49,7 +49,7 @@ def key_advice(path: Path, *, uid: int | None) -> Iterator[Advice]:
     if mode & 0o077:
         yield unsafe(
             part,
-            Code.KEY_MODE,
+            AdviceCode.KEY_MODE,
             f"readable by others (mode {mode:o})",
             place=place,
             mend=f"chmod 600 {path}",
@@ -57,13 +57,13 @@ def key_advice(path: Path, *, uid: int | None) -> Iterator[Advice]:
     elif uid is not None and found.st_uid != uid:
         yield unsafe(
             part,
-            Code.KEY_OWNER,
+            AdviceCode.KEY_OWNER,
             f"owned by user {found.st_uid}, and the gate runs as {uid}",
             place=place,
             mend=f"chown {uid} {path}",
         )
     elif uid is not None:
-        yield fine(part, Code.KEY_MODE, "its user's alone", place=place)
+        yield fine(part, AdviceCode.KEY_MODE, "its user's alone", place=place)
 
 
 def plain_advice(path: Path) -> Iterator[Advice]:
@@ -74,7 +74,7 @@ def plain_advice(path: Path) -> Iterator[Advice]:
     if holds_plain_key(path) and (role := role_of(path)) in _PEOPLE:
         yield warning(
             f"keys/{path.name}",
-            Code.KEY_PLAIN,
+            AdviceCode.KEY_PLAIN,
             f"a person's key, of role `{role}`, in a plain file",
             place=str(path),
             mend=f"authguard keys protect {path}",
@@ -100,7 +100,7 @@ def file_advice(part: str, path: Path, *, uid: int, secret: bool = False) -> Ite
     if secret and mode & 0o044:
         yield warning(
             part,
-            Code.READABLE,
+            AdviceCode.READABLE,
             f"readable by others (mode {mode:o}); what it holds is not encrypted",
             place=str(path),
             mend=f"chmod go-rwx {path}",
@@ -129,7 +129,7 @@ def _status_advice(part: str, path: Path, found: os.stat_result, *, uid: int) ->
     if others and not sticky:
         yield unsafe(
             part,
-            Code.WRITABLE,
+            AdviceCode.WRITABLE,
             f"writable by others (mode {mode:o})",
             place=str(path),
             mend=f"chmod go-w {path}",
@@ -137,7 +137,7 @@ def _status_advice(part: str, path: Path, found: os.stat_result, *, uid: int) ->
     if found.st_uid not in {0, uid}:
         yield unsafe(
             part,
-            Code.OWNER,
+            AdviceCode.OWNER,
             f"owned by user {found.st_uid}, and the gate runs as {uid}",
             place=str(path),
             mend=f"chown {uid} {path}",
@@ -175,7 +175,7 @@ def stray_advice(
             continue
         yield unsafe(
             "stray key",
-            Code.STRAY_KEY,
+            AdviceCode.STRAY_KEY,
             f"a private key beside the gate, {_whose(role, authority)}",
             place=str(path),
             mend=f"move {path} to the machine where it signs",
@@ -199,7 +199,7 @@ def authority_key_advice(folder: Path, authorities: Mapping[bytes, str]) -> Iter
         home = path.parent == folder / "keys" and path.name == f"{name}{KEY_END}"
         yield (warning if home else unsafe)(
             "stray key",
-            Code.STRAY_KEY,
+            AdviceCode.STRAY_KEY,
             f"the private key {_whose(None, name)}",
             place=str(path),
             mend=f"on any machine but the authority's own: move {path} there",
@@ -254,7 +254,7 @@ def _is_anothers(path: Path, uid: int) -> bool:
 def _absent(part: str, path: Path, error: OSError) -> Advice:
     return unsafe(
         part,
-        Code.MISSING,
+        AdviceCode.MISSING,
         f"cannot be looked at: {error.strerror}",
         place=str(path),
         mend="name a file that is there",

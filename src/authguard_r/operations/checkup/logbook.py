@@ -18,11 +18,11 @@ from authguard_r.audit.verify import verify_rows
 from authguard_r.core.encoding import decode
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.quantities import Now
-from authguard_r.operations.checkup.advice import Advice, Code, fine, unsafe, warning
+from authguard_r.operations.checkup.advice import Advice, AdviceCode, fine, unsafe, warning
 from authguard_r.operations.checkup.custody import file_advice
 from authguard_r.store.clocks import SIMULATED
 from authguard_r.store.sqlite import read_held, read_rows
-from authguard_r.store.transactions import SKEW_MS, High
+from authguard_r.store.transactions import SKEW_MS, ClockWatermark
 
 _HELP = "see docs/howto/store.md"
 
@@ -39,7 +39,7 @@ def store_advice(path: Path, now: Now, *, uid: int, deep: bool) -> Iterator[Advi
     if not path.exists():
         message = "does not exist yet: a gate makes it when it first starts"
         mend = f"if there should be one, name it in the place of {path}"
-        yield warning("store", Code.STORE, message, place=str(path), mend=mend)
+        yield warning("store", AdviceCode.STORE, message, place=str(path), mend=mend)
         return
     beside = (path.with_name(f"{path.name}{end}") for end in ("-wal", "-shm"))
     segments = path.with_name(f"{path.name}.segments").glob("*.db")
@@ -59,8 +59,10 @@ def store_advice(path: Path, now: Now, *, uid: int, deep: bool) -> Iterator[Advi
 def _chain(path: Path) -> Advice:
     found = verify_rows(read_rows(path), terminal=None)
     if found.whole:
-        return fine("store", Code.STORE, f"{found.size} records, whole", place=str(path))
-    return unsafe("store", Code.STORE, found.fault, place=f"{path}: {found.where}", mend=_HELP)
+        return fine("store", AdviceCode.STORE, f"{found.size} records, whole", place=str(path))
+    return unsafe(
+        "store", AdviceCode.STORE, found.fault, place=f"{path}: {found.where}", mend=_HELP
+    )
 
 
 def _clock(path: Path, now: Now) -> Iterator[Advice]:
@@ -70,11 +72,11 @@ def _clock(path: Path, now: Now) -> Iterator[Advice]:
         return
     if read_record(first.record, where="record 0").open.get("clock") == SIMULATED:
         return
-    behind = decode(held, High, where="store.clock").utc_ms - now.utc_ms
+    behind = decode(held, ClockWatermark, where="store.clock").utc_ms - now.utc_ms
     if behind > SKEW_MS:
         yield unsafe(
             "clock",
-            Code.CLOCK_BEHIND,
+            AdviceCode.CLOCK_BEHIND,
             f"{behind} ms behind the last commit: everything but stops is refused",
             place=str(path),
             mend="set the clock, or wait",
@@ -85,12 +87,12 @@ def _unusable(path: Path, error: AuthGuardError) -> Advice:
     if isinstance(error.__cause__, apsw.BusyError | apsw.LockedError):
         return warning(
             "store",
-            Code.STORE,
+            AdviceCode.STORE,
             "a gate holds it, so its log was not looked at",
             place=str(path),
             mend="authguard status asks the gate; look again when it has ended",
         )
-    return unsafe("store", Code.STORE, str(error), place=str(path), mend=_HELP)
+    return unsafe("store", AdviceCode.STORE, str(error), place=str(path), mend=_HELP)
 
 
 def witness_advice(config: GateConfig) -> Iterator[Advice]:
@@ -102,13 +104,13 @@ def witness_advice(config: GateConfig) -> Iterator[Advice]:
     if many - len(here) < quorum:
         message = "the quorum needs a witness on this machine: root here puts back both"
         mend = "let witnesses of somebody else's be enough: docs/howto/witness.md"
-        yield warning("witness", Code.WITNESS, message, place=", ".join(here), mend=mend)
+        yield warning("witness", AdviceCode.WITNESS, message, place=", ".join(here), mend=mend)
     if 2 * quorum <= many:
         message = f"{quorum} of {many}: two logs can be witnessed at a time, each by others"
         mend = "let more than half have to agree"
-        yield warning("witness", Code.WITNESS, message, place="gate.quorum", mend=mend)
+        yield warning("witness", AdviceCode.WITNESS, message, place="gate.quorum", mend=mend)
     else:
-        yield fine("witness", Code.WITNESS, f"{quorum} of {many} have to agree")
+        yield fine("witness", AdviceCode.WITNESS, f"{quorum} of {many} have to agree")
 
 
 def counter_advice(counter: Path | None, store: Path, *, witnessed: bool = False) -> Advice:
@@ -120,21 +122,21 @@ def counter_advice(counter: Path | None, store: Path, *, witnessed: bool = False
         witnessed: there are witnesses, who do as well.
     """
     if counter is None and witnessed:
-        return fine("counter", Code.COUNTER, "none; witnesses say how far the log has come")
+        return fine("counter", AdviceCode.COUNTER, "none; witnesses say how far the log has come")
     if counter is None:
         message = "no outside counter: a store that is put back, or deleted, is not noticed"
         mend = "authguard gate --counter FILE, or witnesses: docs/howto/rollback.md"
-        return warning("counter", Code.COUNTER, message, place=str(store), mend=mend)
+        return warning("counter", AdviceCode.COUNTER, message, place=str(store), mend=mend)
     place, folder = str(counter), counter.parent
     if not folder.is_dir():
         message = "its folder is not there: a gate that cannot read it decides nothing"
         mend = f"mount it, or: mkdir -m 700 {folder}"
-        return unsafe("counter", Code.COUNTER, message, place=place, mend=mend)
+        return unsafe("counter", AdviceCode.COUNTER, message, place=place, mend=mend)
     if folder.stat().st_dev == store.parent.stat().st_dev:
         message = "on the same file system as the store: a snapshot puts both back"
         mend = "keep it on another mount"
-        return warning("counter", Code.COUNTER, message, place=place, mend=mend)
-    return fine("counter", Code.COUNTER, "outside of the store's file system", place=place)
+        return warning("counter", AdviceCode.COUNTER, message, place=place, mend=mend)
+    return fine("counter", AdviceCode.COUNTER, "outside of the store's file system", place=place)
 
 
 def _anchor(path: Path) -> Advice:
@@ -142,12 +144,12 @@ def _anchor(path: Path) -> Advice:
     told = "unanchored: a chain alone does not show that its end is missing"
     if read_held(path, CHECKPOINT, WITNESSED):
         told = "cosigned by witnesses; audit verify says how far, given their keys"
-        return fine("anchor", Code.ANCHOR, told, place=str(path))
+        return fine("anchor", AdviceCode.ANCHOR, told, place=str(path))
     if beside.is_file() or read_held(path, CHECKPOINT, NEWEST):
         told = "its checkpoint is where the store is: whoever writes the one can replace the other"
     return warning(
         "anchor",
-        Code.ANCHOR,
+        AdviceCode.ANCHOR,
         told,
         place=str(path),
         mend="keep the signed checkpoint elsewhere: audit verify --checkpoint",

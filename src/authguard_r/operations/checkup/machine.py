@@ -15,7 +15,7 @@ from pathlib import Path
 import apsw
 import cryptography
 
-from authguard_r.operations.checkup.advice import Advice, Code, fine, unsafe, warning
+from authguard_r.operations.checkup.advice import Advice, AdviceCode, fine, unsafe, warning
 
 #: First SQLite without the WAL-reset corruption bug.
 _OLDEST_SQLITE = (3, 51, 3)
@@ -32,7 +32,7 @@ _COARSEST_S = 0.01
 def machine_advice() -> Iterator[Advice]:
     """Yield what this machine is to a gate."""
     yield python_advice(sys.version_info[:3])
-    yield fine("cryptography", Code.LIBRARY, cryptography.__version__)
+    yield fine("cryptography", AdviceCode.LIBRARY, cryptography.__version__)
     yield sqlite_advice(apsw.sqlite_lib_version())
     yield platform_advice(sys.platform)
     yield kept_advice(clock_state())
@@ -44,17 +44,19 @@ def python_advice(version: tuple[int, int, int]) -> Advice:
     told = ".".join(map(str, version))
     first, beyond = _TESTED
     if first <= version[:2] < beyond:
-        return fine("python", Code.PYTHON, told)
-    return warning("python", Code.PYTHON, f"{told} is not tested", mend="use Python 3.11 to 3.13")
+        return fine("python", AdviceCode.PYTHON, told)
+    return warning(
+        "python", AdviceCode.PYTHON, f"{told} is not tested", mend="use Python 3.11 to 3.13"
+    )
 
 
 def sqlite_advice(version: str) -> Advice:
     """Return whether this SQLite keeps a WAL whole."""
     if tuple(map(int, version.split("."))) >= _OLDEST_SQLITE:
-        return fine("sqlite", Code.SQLITE, version)
+        return fine("sqlite", AdviceCode.SQLITE, version)
     return unsafe(
         "sqlite",
-        Code.SQLITE,
+        AdviceCode.SQLITE,
         f"{version} can corrupt a WAL",
         mend="install apsw's own wheel, which brings 3.51.3 or newer",
     )
@@ -63,10 +65,10 @@ def sqlite_advice(version: str) -> Advice:
 def platform_advice(platform: str) -> Advice:
     """Return whether a gate can hold a robot on this system."""
     if platform.startswith("linux"):
-        return fine("platform", Code.PLATFORM, platform)
+        return fine("platform", AdviceCode.PLATFORM, platform)
     return unsafe(
         "platform",
-        Code.PLATFORM,
+        AdviceCode.PLATFORM,
         f"{platform}: missions can be written and signed here, not enforced",
         mend="run the gate on Linux",
     )
@@ -86,11 +88,11 @@ def clock_state() -> int:
 def kept_advice(state: int) -> Advice:
     """Return whether somebody keeps the wall clock, as `clock_state` says."""
     if 0 <= state < _TIME_ERROR:
-        return fine("clock", Code.CLOCK_KEPT, "synchronized")
+        return fine("clock", AdviceCode.CLOCK_KEPT, "synchronized")
     told = "not synchronized" if state == _TIME_ERROR else "the system does not say who keeps it"
     return warning(
         "clock",
-        Code.CLOCK_KEPT,
+        AdviceCode.CLOCK_KEPT,
         f"{told}: missions begin and end by it",
         mend="timedatectl set-ntp true",
     )
@@ -99,10 +101,10 @@ def kept_advice(state: int) -> Advice:
 def resolution_advice(seconds: float) -> Advice:
     """Return whether the monotonic clock is fine enough to watch a lease by."""
     if seconds <= _COARSEST_S:
-        return fine("monotonic clock", Code.CLOCK_COARSE, f"steps of {seconds:g} s")
+        return fine("monotonic clock", AdviceCode.CLOCK_COARSE, f"steps of {seconds:g} s")
     return unsafe(
         "monotonic clock",
-        Code.CLOCK_COARSE,
+        AdviceCode.CLOCK_COARSE,
         f"steps of {seconds:g} s are too coarse to watch a motion by",
         mend="use a machine whose monotonic clock steps by 10 ms or less",
     )
@@ -120,11 +122,11 @@ def room_advice(folder: Path, reserve_bytes: int) -> Advice:
     if free < reserve_bytes:
         return unsafe(
             "disk",
-            Code.DISK,
+            AdviceCode.DISK,
             f"{told}: everything but stops and management is refused",
             place=str(folder),
             mend="make room",
         )
     if free < 4 * reserve_bytes or reserve_bytes == 0:
-        return warning("disk", Code.DISK, told, place=str(folder), mend="make room")
-    return fine("disk", Code.DISK, told, place=str(folder))
+        return warning("disk", AdviceCode.DISK, told, place=str(folder), mend="make room")
+    return fine("disk", AdviceCode.DISK, told, place=str(folder))

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from authguard_r.authoring.binding.check import BindingReport, check_binding
-from authguard_r.normalize.binding import Binding, Way, effect_of, ways
+from authguard_r.normalize.binding import Binding, ToolWay, effect_of, ways
 from authguard_r.normalize.interface import Surface
-from authguard_r.operations.checkup.advice import Advice, Code, fine, unsafe, warning
+from authguard_r.operations.checkup.advice import Advice, AdviceCode, fine, unsafe, warning
 from authguard_r.site.model import Site
 
 #: Names by which what a robot believes is changed, as ROS 2 and Nav2 spell them; compared exactly.
@@ -53,7 +53,11 @@ def binding_advice(
     report = check_binding(binding, site, interface=interface)
     unmapped = frozenset(report.unmapped or ())
     for fault in report.faults:
-        code = Code.UNMAPPED if f"{fault.where}: {fault.message}" in unmapped else Code.BINDING
+        code = (
+            AdviceCode.UNMAPPED
+            if f"{fault.where}: {fault.message}" in unmapped
+            else AdviceCode.BINDING
+        )
         yield unsafe("binding", code, fault.message, place=fault.where, mend=check)
     yield from _compared(report, check)
     yield from _beliefs(binding, site)
@@ -62,12 +66,12 @@ def binding_advice(
 def _compared(report: BindingReport, check: str) -> Iterator[Advice]:
     if report.interface is None:
         message = "compared with no interface: nothing shows that every field is bound"
-        yield warning("binding", Code.UNCOMPARED, message, mend=check)
+        yield warning("binding", AdviceCode.UNCOMPARED, message, mend=check)
     elif report.uncompared:
         message = f"the interface says nothing of {', '.join(report.uncompared)}"
-        yield warning("binding", Code.UNCOMPARED, message, mend=check)
+        yield warning("binding", AdviceCode.UNCOMPARED, message, mend=check)
     elif not report.faults:
-        yield fine("binding", Code.BINDING, f"{report.ways} ways, every field bound")
+        yield fine("binding", AdviceCode.BINDING, f"{report.ways} ways, every field bound")
 
 
 def _beliefs(binding: Binding, site: Site) -> Iterator[Advice]:
@@ -81,17 +85,17 @@ def _beliefs(binding: Binding, site: Site) -> Iterator[Advice]:
         elif told:
             yield unsafe(
                 "binding",
-                Code.STATE_WRITING,
+                AdviceCode.STATE_WRITING,
                 f"`{told}` changes what the robot believes, and `{way.tool.type}` can be granted",
                 place=way.place,
                 mend="bind it to a type that is `state_writing`",
             )
     if refused:
         message = f"{refused} ways are of types that no mission grants: refused, whoever asks"
-        yield fine("binding", Code.STATE_WRITING, message)
+        yield fine("binding", AdviceCode.STATE_WRITING, message)
 
 
-def _named(way: Way) -> frozenset[str]:
+def _named(way: ToolWay) -> frozenset[str]:
     """Return every name that a way holds constant, without outer slashes."""
     constants = [argument.constant() for argument in way.tool.arguments.values()]
     words = [*constants, *way.tool.when.values(), effect_of(way.tool), way.tool.message, way.name]

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 
 from authguard_r.access.gate_config import GateConfig, Peer
 from authguard_r.access.peers import OVERFLOW_UID
-from authguard_r.operations.checkup.advice import Advice, Code, unsafe, warning
+from authguard_r.operations.checkup.advice import Advice, AdviceCode, unsafe, warning
 from authguard_r.wire.disclosure import Disclosure
 from authguard_r.wire.messages import ClientRole, Mode
 
@@ -60,7 +60,7 @@ def user_advice(config: GateConfig, *, uid: int | None) -> Iterator[Advice]:
     for role in (role for role in _NEEDED if role not in taken):
         yield warning(
             "users",
-            Code.VACANT_ROLE,
+            AdviceCode.VACANT_ROLE,
             f"nobody may be `{role}` here",
             place="gate.peers",
             mend=f"--peer USER:{role}",
@@ -73,13 +73,15 @@ def _peer_advice(peer: Peer, place: str, *, uid: int | None) -> Iterator[Advice]
     planner = ClientRole.PLANNER in peer.roles
     if peer.uid == OVERFLOW_UID:
         message = f"{who} stands for everybody whom a machine does not know"
-        yield unsafe("users", Code.USER, message, place=place, mend="name a user of its own")
+        yield unsafe("users", AdviceCode.USER, message, place=place, mend="name a user of its own")
     elif name is None:
         message = f"{who} does not exist on this machine"
-        yield warning("users", Code.USER, message, place=place, mend=f"useradd -u {peer.uid} NAME")
+        yield warning(
+            "users", AdviceCode.USER, message, place=place, mend=f"useradd -u {peer.uid} NAME"
+        )
     if ClientRole.GATE in peer.roles:
         message = f"{who} is `{ClientRole.GATE}`: only a gate's own user is that, wherever it runs"
-        yield unsafe("users", Code.USER, message, place=place, mend="leave the role out")
+        yield unsafe("users", AdviceCode.USER, message, place=place, mend="leave the role out")
     if peer.uid == 0:
         yield _root(place, f"root is {', '.join(peer.roles)}", unsafe_too=planner)
     if planner:
@@ -93,10 +95,10 @@ def _planner_advice(peer: Peer, who: str, place: str, *, uid: int | None) -> Ite
         told = []
     for role, why, make in told:
         message = f"{who} is planner and {role}: {why}"
-        yield make("users", Code.SHARED_USER, message, place=place, mend=_APART)
+        yield make("users", AdviceCode.SHARED_USER, message, place=place, mend=_APART)
     if peer.uid == uid:
         message = f"{who} is planner and runs the gate: nothing is apart"
-        yield unsafe("users", Code.SHARED_USER, message, place=place, mend=_APART)
+        yield unsafe("users", AdviceCode.SHARED_USER, message, place=place, mend=_APART)
 
 
 def config_advice(config: GateConfig) -> Iterator[Advice]:
@@ -104,7 +106,7 @@ def config_advice(config: GateConfig) -> Iterator[Advice]:
     if config.mode is Mode.SHADOW:
         yield warning(
             "mode",
-            Code.SHADOW,
+            AdviceCode.SHADOW,
             "shadow: everything is judged and recorded, nothing is held or released",
             place="gate.mode",
             mend="sign one with `mode: enforce` when the trial is over",
@@ -112,7 +114,7 @@ def config_advice(config: GateConfig) -> Iterator[Advice]:
     if config.disclosure is Disclosure.FULL:
         yield warning(
             "disclosure",
-            Code.DISCLOSURE,
+            AdviceCode.DISCLOSURE,
             "`full`: a planner is told what was expected, and can feel its way along the limits",
             place="gate.disclosure",
             mend="sign one with `disclosure: fields`, or `codes`",
@@ -121,7 +123,7 @@ def config_advice(config: GateConfig) -> Iterator[Advice]:
         if getattr(config, field) == 0:
             yield warning(
                 "alerts",
-                Code.SILENT,
+                AdviceCode.SILENT,
                 f"`{field}` is 0: that alert never comes",
                 place=f"gate.{field}",
                 mend="sign a configuration with a bound",
@@ -135,7 +137,7 @@ def _reader_advice(config: GateConfig) -> Iterator[Advice]:
     if sealed and not any(sealed.issubset(reader.classes) for reader in config.readers):
         yield warning(
             "readers",
-            Code.READERS,
+            AdviceCode.READERS,
             f"nobody may read all of {', '.join(sorted(sealed))}: nobody can replay this log",
             place="gate.readers",
             mend="name a reader of all that is sealed: authguard audit reader",
@@ -145,4 +147,4 @@ def _reader_advice(config: GateConfig) -> Iterator[Advice]:
 def _root(place: str, message: str, *, unsafe_too: bool) -> Advice:
     make = unsafe if unsafe_too else warning
     mend = "run it as a user of its own: deploy/sysusers.d/authguard-r.conf"
-    return make("users", Code.ROOT_USER, message, place=place, mend=mend)
+    return make("users", AdviceCode.ROOT_USER, message, place=place, mend=mend)

@@ -18,10 +18,10 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.state import AttestedState
 from authguard_r.safety.config import SafetyConfig
 from authguard_r.safety.state_reading import trusted_value
-from authguard_r.safety.temporal.formula import TRUTH, Atom, Comparison
+from authguard_r.safety.temporal.formula import TRUTH, Atom, AtomComparison
 
 
-class Scene(Struct, frozen=True, kw_only=True):
+class AtomScene(Struct, frozen=True, kw_only=True):
     """What every atom reads."""
 
     config: SafetyConfig
@@ -31,7 +31,7 @@ class Scene(Struct, frozen=True, kw_only=True):
     now: Now
 
 
-def holds(atom: Atom, scene: Scene) -> bool | None:
+def holds(atom: Atom, scene: AtomScene) -> bool | None:
     """Return whether the atom holds; None when what it asks about is not known."""
     group, _, name = atom.field.partition(".")
     if group == "state":
@@ -42,7 +42,7 @@ def holds(atom: Atom, scene: Scene) -> bool | None:
     value = getattr(scene.action, atom.field)
     if not value:  # an action of another kind has none; one of this kind may do anything
         return None if atom.field in scene.kind.fields else False
-    values: tuple[str, ...] = value if atom.test is Comparison.CONTAINS else (value,)
+    values: tuple[str, ...] = value if atom.test is AtomComparison.CONTAINS else (value,)
     return atom.value in values
 
 
@@ -61,7 +61,7 @@ def _compared(atom: Atom, value: object | None) -> bool | None:
     """Compare like with like; an integer is no word and no truth value."""
     wanted: object = atom.value
     if isinstance(wanted, int) and type(value) is int:
-        return value <= wanted if atom.test is Comparison.AT_MOST else value == wanted
+        return value <= wanted if atom.test is AtomComparison.AT_MOST else value == wanted
     if isinstance(wanted, str):
         wanted = TRUTH.get(wanted, wanted)
     return value == wanted if type(value) is type(wanted) else None

@@ -12,7 +12,7 @@ from enum import StrEnum
 from msgspec import Struct
 
 
-class Comparison(StrEnum):
+class AtomComparison(StrEnum):
     """How an atom compares."""
 
     EQUAL = "="
@@ -34,7 +34,7 @@ class Atom(Struct, frozen=True):
     """
 
     field: str
-    test: Comparison
+    test: AtomComparison
     value: int | str
 
     def __str__(self) -> str:

@@ -17,7 +17,7 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.safety import Hazard, SafetyDecision, SafetyFinding
 from authguard_r.core.state import AttestedState
 from authguard_r.safety.config import SafetyConfig
-from authguard_r.safety.temporal.atoms import Scene, holds, unknown_name
+from authguard_r.safety.temporal.atoms import AtomScene, holds, unknown_name
 from authguard_r.safety.temporal.memory import Owner, read_memory, write_memory
 from authguard_r.safety.temporal.rules import Compiled, compile_rules, rules_digest
 from authguard_r.safety.temporal.track import Left, Letter, unknown_atoms
@@ -64,7 +64,7 @@ class TemporalGate:
             left = read_memory(self._memory, owner, self._rules)
         except MalformedError as error:
             return _unsafe(_unknown("memory", "what was done in this mission", error.message))
-        scene = Scene(config=self.config, action=action, kind=kind, state=state, now=now)
+        scene = AtomScene(config=self.config, action=action, kind=kind, state=state, now=now)
         steps = {rule.id: _step(rule, left[rule.id], scene, facts) for rule in self._rules}
         found = tuple(finding for step in steps.values() for finding in step.findings)
         if found or not steps:
@@ -96,7 +96,7 @@ class TemporalGate:
         )
 
 
-def _step(rule: Compiled, left: Left, scene: Scene, facts: SiteFacts) -> _Step:
+def _step(rule: Compiled, left: Left, scene: AtomScene, facts: SiteFacts) -> _Step:
     """Follow one rule; a place that nobody can tell about is a finding, never a guess."""
     field, track = f"rules.{rule.id}", rule.track
     strange = [atom for atom in track.atoms if unknown_name(atom, facts)]

@@ -12,7 +12,15 @@ from collections.abc import Callable
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import MAX_INTEGER, is_identifier
 from authguard_r.core.reasons import Reason
-from authguard_r.safety.temporal.formula import FALSE, TRUE, Atom, Comparison, Formula, Op, negated
+from authguard_r.safety.temporal.formula import (
+    FALSE,
+    TRUE,
+    Atom,
+    AtomComparison,
+    Formula,
+    Op,
+    negated,
+)
 
 #: Longest formula, in characters.
 MAX_LENGTH = 1_000
@@ -158,28 +166,28 @@ class _Parser:
     def _named(self) -> Formula:
         field = self._take()
         equal = self._equal()
-        return _literal(Atom(field, Comparison.EQUAL, self._identifier()), positive=equal)
+        return _literal(Atom(field, AtomComparison.EQUAL, self._identifier()), positive=equal)
 
     def _route(self) -> Formula:
         field = self._take()
         if not self._taken("contains"):
             raise self._wrong("`contains`")
-        return _literal(Atom(field, Comparison.CONTAINS, self._identifier()), positive=True)
+        return _literal(Atom(field, AtomComparison.CONTAINS, self._identifier()), positive=True)
 
     def _compared(self, *, words: bool) -> Formula:
         field, sign = self._take(), self._word
         if sign in {"=", "!="} and words:
             equal = self._equal()
             number = self._integer() if _INTEGER.fullmatch(self._word) else self._identifier()
-            return _literal(Atom(field, Comparison.EQUAL, number), positive=equal)
+            return _literal(Atom(field, AtomComparison.EQUAL, number), positive=equal)
         if sign in {"=", "!="}:
             equal = self._equal()
-            return _literal(Atom(field, Comparison.EQUAL, self._integer()), positive=equal)
+            return _literal(Atom(field, AtomComparison.EQUAL, self._integer()), positive=equal)
         if sign not in {"<", "<=", ">", ">="}:
             raise self._wrong("a comparison")
         self._take()
         most = self._integer(less=1 if sign in {"<", ">="} else 0)
-        return _literal(Atom(field, Comparison.AT_MOST, most), positive=sign in {"<", "<="})
+        return _literal(Atom(field, AtomComparison.AT_MOST, most), positive=sign in {"<", "<="})
 
     def _equal(self) -> bool:
         if self._word not in {"=", "!="}:

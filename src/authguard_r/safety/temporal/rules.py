@@ -13,7 +13,7 @@ from authguard_r.core.identifiers import Digest, Identifier
 from authguard_r.core.reasons import Reason
 from authguard_r.safety.config import Rule
 from authguard_r.safety.temporal.parse import parse
-from authguard_r.safety.temporal.track import Track
+from authguard_r.safety.temporal.track import FormulaTrack
 
 __all__ = ["MAX_RULES", "Compiled", "Rule", "compile_rules", "rules_digest"]
 
@@ -26,7 +26,7 @@ class Compiled(Struct, frozen=True, kw_only=True):
 
     id: Identifier
     says: str
-    track: Track
+    track: FormulaTrack
 
 
 @lru_cache(maxsize=16)  # the same rules are compiled once; nothing of it changes
@@ -52,5 +52,5 @@ def rules_digest(rules: tuple[Rule, ...]) -> Digest:
 
 
 def _compiled(rule: Rule, where: str) -> Compiled:
-    track = Track(parse(rule.formula, where=where), where=where)
+    track = FormulaTrack(parse(rule.formula, where=where), where=where)
     return Compiled(id=rule.id, says=rule.message or rule.formula, track=track)

@@ -23,7 +23,7 @@ from authguard_r.safety.temporal.formula import (
     NO_MORE,
     TRUTH,
     Atom,
-    Comparison,
+    AtomComparison,
     Formula,
     Op,
 )
@@ -56,7 +56,7 @@ class Letter(Struct, frozen=True):
     unknown: frozenset[int] = frozenset()
 
 
-class Track:
+class FormulaTrack:
     """A formula with all that following it takes. It is made once and changes nothing it says.
 
     Args:
@@ -204,7 +204,7 @@ class Track:
         groups: dict[str, list[int]] = {}
         for number, atom in enumerate(self.atoms):
             # a route holds many regions at once; every other field has one value
-            key = str(atom) if atom.test is Comparison.CONTAINS else atom.field
+            key = str(atom) if atom.test is AtomComparison.CONTAINS else atom.field
             groups.setdefault(key, []).append(number)
         choices = [self._choices(numbers) for numbers in groups.values()]
         count = 1
@@ -263,7 +263,7 @@ def _beside(atom: Atom) -> tuple[int | str | None, ...]:
 
 def _would_hold(atom: Atom, value: int | str | None) -> bool:
     if isinstance(value, int) and isinstance(atom.value, int):
-        return value <= atom.value if atom.test is Comparison.AT_MOST else value == atom.value
+        return value <= atom.value if atom.test is AtomComparison.AT_MOST else value == atom.value
     return value == atom.value
 
 

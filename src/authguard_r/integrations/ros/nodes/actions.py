@@ -20,17 +20,17 @@ from msgspec import Struct
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 
-from authguard_r.client.link import Log
+from authguard_r.client.link import ProcessLog
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.integrations.ros.calls import FORMS, call_of
 from authguard_r.integrations.ros.map import Mediated
 from authguard_r.integrations.ros.nodes.loop import Spinner
 from authguard_r.integrations.ros.nodes.process import RCLError
-from authguard_r.integrations.ros.nodes.proposals import Proposals, code_of
+from authguard_r.integrations.ros.nodes.proposals import PlannerProposals, code_of
 from authguard_r.integrations.ros.nodes.releases import Release
 from authguard_r.integrations.ros.nodes.values import plain_of, texts_of
-from authguard_r.integrations.tools.planner import Asked, LostError
+from authguard_r.integrations.tools.planner import CallOutcome, LostError
 from authguard_r.normalize.dialects import Call
 
 #: A result is kept for its planner for so long, in seconds.
@@ -62,8 +62,8 @@ class Public(Struct, frozen=True, kw_only=True):
 
     spinner: Spinner
     group: ReentrantCallbackGroup
-    proposals: Proposals
-    log: Log
+    proposals: PlannerProposals
+    log: ProcessLog
 
 
 def read_call(item: Mediated, message: Any) -> Call | MalformedError:
@@ -81,7 +81,7 @@ def read_call(item: Mediated, message: Any) -> Call | MalformedError:
         return error
 
 
-class _Server(ActionServer):  # type: ignore[misc]
+class _GoalServer(ActionServer):  # type: ignore[misc]
     """An action server that executes nothing: a goal is over when `finish` says so."""
 
     def __init__(
@@ -151,7 +151,7 @@ class _Server(ActionServer):  # type: ignore[misc]
         super().notify_execute(handle, end)
 
 
-class _Going:
+class _OpenGoal:
     """One goal of a planner's, until it is over."""
 
     def __init__(self, goal: Any, read: Call | MalformedError) -> None:
@@ -172,7 +172,7 @@ class _Going:
         release.taken.add_done_callback(lambda taken: self.answer(is_taken=taken.result()))
 
 
-class ActionInlet:
+class ActionProxyServer:
     """Serves one action to planners.
 
     Args:
@@ -185,10 +185,10 @@ class ActionInlet:
     def __init__(self, public: Public, key: str, item: Mediated, kind: Any) -> None:
         self._public, self._key, self._item, self._kind = public, key, item, kind
         self._spinner = public.spinner
-        self._unbound: dict[int, _Going] = {}  # by the goal's own id: `rclpy` hands out the same
-        self._running: dict[bytes, _Going] = {}
+        self._unbound: dict[int, _OpenGoal] = {}  # by the goal's own id: `rclpy` hands out the same
+        self._running: dict[bytes, _OpenGoal] = {}
         self._attending: asyncio.Task[None] | None = None
-        self._server = _Server(
+        self._server = _GoalServer(
             public.spinner.node,
             kind,
             item.public,
@@ -227,7 +227,7 @@ class ActionInlet:
     # in the event loop
 
     async def _decided(self, goal: Any, read: Call | MalformedError) -> GoalResponse:
-        going = _Going(goal, read)
+        going = _OpenGoal(goal, read)
         self._spinner.begin(self._run(going))
         if not await going.taken:
             return GoalResponse.REJECT
@@ -263,7 +263,7 @@ class ActionInlet:
                 seen_s = loop.time()
             await asyncio.sleep(_LOOK_S)
 
-    def _left(self, going: _Going) -> None:
+    def _left(self, going: _OpenGoal) -> None:
         """Call off a goal whose planner has gone before it was told."""
         self._unbound.pop(id(going.goal), None)
         if not going.handle.done():
@@ -276,7 +276,7 @@ class ActionInlet:
         if going is not None and going.release is not None:
             going.release.cancel()
 
-    async def _run(self, going: _Going) -> None:
+    async def _run(self, going: _OpenGoal) -> None:
         """Propose a goal, and see it through to its end."""
         feeding = self._spinner.begin(self._feed(going))
         try:
@@ -292,7 +292,7 @@ class ActionInlet:
         finally:
             feeding.cancel()
 
-    async def _propose(self, going: _Going) -> Asked | None:
+    async def _propose(self, going: _OpenGoal) -> CallOutcome | None:
         """Return what became of a proposal; None: nobody knows, or nothing was decided."""
         proposals, read = self._public.proposals, going.read
         if isinstance(read, MalformedError):
@@ -308,7 +308,7 @@ class ActionInlet:
             self._say(error)
         return None
 
-    async def _feed(self, going: _Going) -> None:
+    async def _feed(self, going: _OpenGoal) -> None:
         """Hand on what the robot says on its way, once its words have been noted."""
         handle, noted = await asyncio.shield(going.handle), set[str]()
         release = going.release
@@ -329,7 +329,9 @@ class ActionInlet:
             finally:
                 release.feedback.task_done()
 
-    async def _finish(self, going: _Going, feeding: asyncio.Task[None], *, is_noted: bool) -> None:
+    async def _finish(
+        self, going: _OpenGoal, feeding: asyncio.Task[None], *, is_noted: bool
+    ) -> None:
         """Tell the planner how its goal ended, as the robot says it."""
         release = going.release
         if release is None:  # pragma: no cover - taken is what was released

@@ -18,11 +18,17 @@ from pathlib import Path
 from geometry_msgs.msg import Twist
 from rclpy.node import Node
 
-from authguard_r.client.link import Log
+from authguard_r.client.link import ProcessLog
 from authguard_r.core.errors import MalformedError
-from authguard_r.integrations.ros.latch import MS, Why
-from authguard_r.integrations.ros.map import Kind, Mediated, RosMap, read_map
-from authguard_r.integrations.ros.nodes.heartbeat import ALL, Told, actuation_qos, listen, new_latch
+from authguard_r.integrations.ros.latch import MS, LatchCause
+from authguard_r.integrations.ros.map import Mediated, MediationKind, RosMap, read_map
+from authguard_r.integrations.ros.nodes.heartbeat import (
+    ALL,
+    PublisherEvent,
+    actuation_qos,
+    listen,
+    new_latch,
+)
 from authguard_r.integrations.ros.nodes.process import run_node
 
 #: Between two looks of the own watch, in seconds.
@@ -58,13 +64,13 @@ class Actuator:
         topic: str,
         drive: Callable[[Twist], None],
         *,
-        told: Told = ALL,
-        log: Log | None = None,
+        told: PublisherEvent = ALL,
+        log: ProcessLog | None = None,
     ) -> None:
         self._node = node
         self._topic = topic
         self._drive = drive
-        self._log = log or Log()
+        self._log = log or ProcessLog()
         self._latch = new_latch()
         self._lock = threading.Lock()  # no velocity overtakes a stop
         self._told_ns = 0
@@ -76,7 +82,7 @@ class Actuator:
         self._watching.start()
 
     @property
-    def why(self) -> Why | None:
+    def why(self) -> LatchCause | None:
         """Why the base has to stand; None: velocities go on."""
         return self._latch.why
 
@@ -85,12 +91,12 @@ class Actuator:
         self._over.set()
         self._watching.join()
         self._node.destroy_subscription(self._subscription)
-        self._lost(Why.CLOSED)
+        self._lost(LatchCause.CLOSED)
 
     def _heard(self, velocity: Twist, who: bytes) -> None:
         values = _values(velocity)
         if not all(math.isfinite(value) for value in values):
-            self._lost(Why.NOT_FINITE)
+            self._lost(LatchCause.NOT_FINITE)
             return
         with self._lock:
             before = self._latch.why
@@ -103,7 +109,7 @@ class Actuator:
             if self._latch.why is not before:
                 self._say()
 
-    def _lost(self, why: Why) -> None:
+    def _lost(self, why: LatchCause) -> None:
         """Stop the base, if it is not; a second time changes nothing."""
         with self._lock:
             if self._latch.stop(why):
@@ -130,7 +136,7 @@ class Actuator:
         try:
             self._drive(velocity)
         except Exception as error:  # noqa: BLE001 - not ours, and a stop may not end with it
-            self._latch.stop(Why.DRIVER)
+            self._latch.stop(LatchCause.DRIVER)
             self._told_ns = 0  # at the next look
             self._log.say("driver failed", self._topic, message=repr(error))
 
@@ -159,7 +165,7 @@ def relay_of(ros: RosMap, key: str, topic: str) -> Mediated:
         MalformedError: it is no velocity, or the map does not give its enclave that topic.
     """
     item = ros.mediated.get(key)
-    if item is None or item.kind is not Kind.STREAM or item.type != TWIST:
+    if item is None or item.kind is not MediationKind.STREAM or item.type != TWIST:
         raise MalformedError(f"expected a stream of `{TWIST}`, got `{key}`", where="mediated")
     if topic not in ros.processes[item.by].publishes:
         text = f"expected one of the topics that `{item.by}` publishes, got `{topic}`"

@@ -16,18 +16,18 @@ from contextlib import suppress
 from msgspec import Struct
 from msgspec.structs import replace
 
-from authguard_r.client.link import Log, mono_ms
+from authguard_r.client.link import ProcessLog, mono_ms
 from authguard_r.core.action import Action
 from authguard_r.core.errors import ControllerError, MalformedError
 from authguard_r.core.identifiers import Digest, ParameterId, RobotId
-from authguard_r.core.ports import Flight
+from authguard_r.core.ports import GoalHandle
 from authguard_r.core.standing import Outcome
 from authguard_r.integrations.ros.calls import DURATION, body_of, item_of, velocities
 from authguard_r.integrations.ros.map import RosMap
-from authguard_r.integrations.ros.nodes.proxies import STOP_S, Order, Outlet
+from authguard_r.integrations.ros.nodes.proxies import STOP_S, ClientProxy, DispatchOrder
 from authguard_r.integrations.ros.nodes.releases import Release, Releases
 from authguard_r.integrations.ros.nodes.values import message_of
-from authguard_r.integrations.ros.nodes.velocity import StreamOutlet
+from authguard_r.integrations.ros.nodes.velocity import StreamClientProxy
 from authguard_r.normalize import Binder
 from authguard_r.normalize.dialects import Call
 from authguard_r.normalize.rebuild import Rebuilder, call_bytes
@@ -41,7 +41,7 @@ MOST = 4
 ALIVE_MS = 80
 
 
-class Means(Struct, frozen=True, kw_only=True):
+class RosDrivers(Struct, frozen=True, kw_only=True):
     """What a body drives with.
 
     Args:
@@ -72,7 +72,7 @@ class _Doing(Struct, frozen=True, kw_only=True):
     action: Action
     release: Release
     beside: bool
-    stream: StreamOutlet | None
+    stream: StreamClientProxy | None
 
 
 class RosBody:
@@ -88,9 +88,11 @@ class RosBody:
     obeys = True
     late_ms = 0
 
-    def __init__(self, rid: RobotId, means: Means, changed: Callable[[], None], log: Log) -> None:
+    def __init__(
+        self, rid: RobotId, means: RosDrivers, changed: Callable[[], None], log: ProcessLog
+    ) -> None:
         self.rid = rid
-        self.outlets: dict[str, Outlet] = {}
+        self.outlets: dict[str, ClientProxy] = {}
         vocabulary = means.site.vocabulary.values()
         self.sampled = frozenset(name for kind in vocabulary for name in velocities(kind))
         self._means = means
@@ -123,7 +125,7 @@ class RosBody:
         """What runs, by its names in the map; empty: nothing."""
         return ", ".join(sorted(one.release.key for one in self._running()))
 
-    def begin(self, action: Action, ticket: Digest) -> Flight:
+    def begin(self, action: Action, ticket: Digest) -> GoalHandle:
         """Send it.
 
         Raises:
@@ -136,7 +138,7 @@ class RosBody:
             self._log.say("not begun", str(action.type), message=error.message)
             raise
 
-    def _begun(self, action: Action, ticket: Digest) -> Flight:
+    def _begun(self, action: Action, ticket: Digest) -> GoalHandle:
         if not self.is_served:
             raise ControllerError("planners are not served")
         if not self.stands:
@@ -153,7 +155,7 @@ class RosBody:
         kind = self._means.site.vocabulary[action.type]
         release = Release(kind, key, str(action.type))
         outlet.begin(
-            Order(
+            DispatchOrder(
                 release=release,
                 message=message,
                 moves=kind.moves,
@@ -161,7 +163,7 @@ class RosBody:
                 duration_ms=action.params.get(ParameterId(DURATION), 0),
             )
         )
-        stream = outlet if isinstance(outlet, StreamOutlet) else None
+        stream = outlet if isinstance(outlet, StreamClientProxy) else None
         self._doing = {one: doing for one, doing in self._doing.items() if doing.release.runs}
         self._doing[ticket] = _Doing(
             action=action, release=release, beside=self._may_join(action), stream=stream
@@ -200,7 +202,7 @@ class RosBody:
         """Stop whatever runs, whoever began it; a second time changes nothing."""
         if self._stopping is None:
             for outlet in self.outlets.values():
-                if isinstance(outlet, StreamOutlet):
+                if isinstance(outlet, StreamClientProxy):
                     outlet.rest()
             self._stopping = asyncio.ensure_future(self._stop())
 

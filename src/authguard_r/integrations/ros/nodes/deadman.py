@@ -22,13 +22,13 @@ from rclpy.node import Node
 from rclpy.task import Future
 from std_msgs.msg import UInt64
 
-from authguard_r.client.link import Log
-from authguard_r.integrations.ros.latch import MS, Why
-from authguard_r.integrations.ros.map import Kind, RosMap, read_map
+from authguard_r.client.link import ProcessLog
+from authguard_r.integrations.ros.latch import MS, LatchCause
+from authguard_r.integrations.ros.map import MediationKind, RosMap, read_map
 from authguard_r.integrations.ros.nodes.heartbeat import (
     ALL,
     PERIOD_MS,
-    Told,
+    PublisherEvent,
     listen,
     new_latch,
     steady,
@@ -56,7 +56,7 @@ class Canceler:
         log: says once what came of it.
     """
 
-    def __init__(self, node: Node, action: str, log: Log) -> None:
+    def __init__(self, node: Node, action: str, log: ProcessLog) -> None:
         self._action = action
         self._log = log
         self._client: Client[CancelGoal.Request, CancelGoal.Response] = node.create_client(
@@ -133,14 +133,14 @@ class Deadman:
     """
 
     def __init__(
-        self, node: Node, ros: RosMap, *, told: Told = ALL, log: Log | None = None
+        self, node: Node, ros: RosMap, *, told: PublisherEvent = ALL, log: ProcessLog | None = None
     ) -> None:
         self._node = node
-        self._log = log or Log()
+        self._log = log or ProcessLog()
         self._latch = new_latch()
         self._start_ns = time.monotonic_ns()
         self._is_lost = False  # since the start: perhaps it is not found yet
-        actions = sorted(m.private for m in ros.mediated.values() if m.kind is Kind.ACTION)
+        actions = sorted(m.private for m in ros.mediated.values() if m.kind is MediationKind.ACTION)
         self._cancelers = tuple(Canceler(node, action, self._log) for action in actions)
         listen(node, ros.heartbeat, UInt64, heard=self._heard, lost=self._stop, told=told)
         node.create_timer(PERIOD_MS / 1_000, self._look, None, steady())
@@ -159,22 +159,22 @@ class Deadman:
             self._is_lost = False
             self._log.say("armed", "heartbeat")
 
-    def _stop(self, why: Why) -> None:
+    def _stop(self, why: LatchCause) -> None:
         if self._latch.stop(why):
             self._lose(why)
 
     def _look(self) -> None:
         now_ns = time.monotonic_ns()
         if self._latch.look(now_ns):
-            self._lose(Why.SILENCE)
+            self._lose(LatchCause.SILENCE)
             return
         is_late = now_ns - self._start_ns >= START_MS * MS
-        if self._latch.why is Why.START and is_late and not self._is_lost:
-            self._lose(Why.START)
+        if self._latch.why is LatchCause.START and is_late and not self._is_lost:
+            self._lose(LatchCause.START)
             return
         self._ask(now_ns)
 
-    def _lose(self, why: Why) -> None:
+    def _lose(self, why: LatchCause) -> None:
         """Ask every server at once."""
         self._is_lost = True
         now_ns = time.monotonic_ns()

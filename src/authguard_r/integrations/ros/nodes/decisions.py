@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from authguard_r.client import AsyncGateClient
-from authguard_r.client.reconnecting import GatePlace, KeptGate
+from authguard_r.client.reconnecting import GatePlace, ReconnectingClient
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault, MalformedError
 from authguard_r.core.identifiers import Identifier
 from authguard_r.integrations.ros.nodes.actions import Public
@@ -49,7 +49,7 @@ class Decisions:
     def __init__(self, public: Public, place: GatePlace, topic: str, kind: Any) -> None:
         self._public, self._kind, self._robot = public, kind, str(place.robot)
         mine = replace(place, client=Identifier(f"{place.client}-displays"[:64]))
-        self._kept = KeptGate(mine, ClientRole.AUDITOR, timeout_ms=ANSWER_MS)
+        self._kept = ReconnectingClient(mine, ClientRole.AUDITOR, timeout_ms=ANSWER_MS)
         self._gate: AsyncGateClient | None = None  # while it is heard
         self._waiting: deque[dict[str, Any]] = deque()
         self._news = asyncio.Event()

@@ -15,7 +15,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from msgspec import Struct
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from authguard_r.client.controller import Channel, ControllerDesk
+from authguard_r.client.controller import ControllerDesk, MessageSource
 from authguard_r.integrations.ros.map import RosMap
 from authguard_r.integrations.ros.nodes.actions import Public
 from authguard_r.integrations.ros.nodes.body import RosBody
@@ -27,7 +27,7 @@ PERIOD_S = 1.0
 _NS = 1_000_000_000
 
 
-class Seen(Struct, frozen=True, kw_only=True):
+class ReportedStatus(Struct, frozen=True, kw_only=True):
     """How everything stands, by the names of `GateStatus`.
 
     Args:
@@ -102,13 +102,13 @@ class Diagnostics:
             self._say(await self._look())
             await pause
 
-    async def _look(self) -> Seen:
+    async def _look(self) -> ReportedStatus:
         """Return how everything stands; what the gate does not say is as it said it last."""
         why = await self._decisions.ask()
         body, desk, counts = self._body, self._desk, self._decisions.counts
-        return Seen(
-            connected=desk.hears(Channel.GATE),
-            lane=desk.hears(Channel.STOP),
+        return ReportedStatus(
+            connected=desk.hears(MessageSource.GATE),
+            lane=desk.hears(MessageSource.STOP),
             answers=not why,
             why=why,
             mission_active=bool(counts.get("mission_active")),
@@ -123,7 +123,7 @@ class Diagnostics:
             is_watched=self._node.count_subscribers(self._heartbeat) > 0,
         )
 
-    def _say(self, seen: Seen) -> None:
+    def _say(self, seen: ReportedStatus) -> None:
         now_ns = time.time_ns()
         stamp = {"sec": now_ns // _NS, "nanosec": now_ns % _NS}
         named = {name: getattr(seen, name) for name in seen.__struct_fields__}
@@ -135,7 +135,7 @@ class Diagnostics:
         self._diagnostics.publish(array)
 
 
-def statuses(seen: Seen, robot: str) -> list[DiagnosticStatus]:
+def statuses(seen: ReportedStatus, robot: str) -> list[DiagnosticStatus]:
     """Return what monitors are told: of the gate, of the robot, and of what the gate decided."""
     told: list[tuple[str, tuple[bytes, str], dict[str, object]]] = [
         ("gate", _of_gate(seen), {"mission_active": seen.mission_active, "lane": seen.lane}),
@@ -167,7 +167,7 @@ def statuses(seen: Seen, robot: str) -> list[DiagnosticStatus]:
     ]
 
 
-def _of_gate(seen: Seen) -> tuple[bytes, str]:
+def _of_gate(seen: ReportedStatus) -> tuple[bytes, str]:
     if not seen.connected:
         return DiagnosticStatus.ERROR, "not connected: nothing is released"
     if not seen.answers:
@@ -177,7 +177,7 @@ def _of_gate(seen: Seen) -> tuple[bytes, str]:
     return DiagnosticStatus.OK, "connected"
 
 
-def _of_robot(seen: Seen) -> tuple[bytes, str]:
+def _of_robot(seen: ReportedStatus) -> tuple[bytes, str]:
     if seen.braking:
         return DiagnosticStatus.ERROR, "is being stopped: nobody says that it stands"
     if seen.missing:
@@ -189,7 +189,7 @@ def _of_robot(seen: Seen) -> tuple[bytes, str]:
     return DiagnosticStatus.OK, "stands"
 
 
-def _of_decisions(seen: Seen) -> tuple[bytes, str]:
+def _of_decisions(seen: ReportedStatus) -> tuple[bytes, str]:
     if not seen.answers:
         return DiagnosticStatus.STALE, "not heard: the counts are old"
     if seen.missed:

@@ -15,9 +15,9 @@ from rclpy.serialization import deserialize_message
 
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.reasons import Reason
-from authguard_r.integrations.ros.map import Shown
+from authguard_r.integrations.ros.map import ShownTopic
 from authguard_r.integrations.ros.nodes.actions import Public
-from authguard_r.integrations.ros.nodes.inbox import Inbox
+from authguard_r.integrations.ros.nodes.inbox import ThreadInbox
 from authguard_r.integrations.ros.nodes.values import texts_of
 from authguard_r.integrations.tools.server import MAX_TEXT
 from authguard_r.normalize.bind import UNTOLD
@@ -42,10 +42,10 @@ class Relay:
         kind: the message's class.
     """
 
-    def __init__(self, public: Public, key: str, item: Shown, kind: Any) -> None:
+    def __init__(self, public: Public, key: str, item: ShownTopic, kind: Any) -> None:
         self._public, self._key, self._kind = public, key, kind
         self._channel = item.channel or UNTOLD
-        self._newest: Inbox[bytes] = Inbox(public.spinner, 1, is_newest=True)
+        self._newest: ThreadInbox[bytes] = ThreadInbox(public.spinner, 1, is_newest=True)
         self._hidden = 0  # never shown
         self._told_s = public.spinner.loop.time() - _LINE_S
         node = public.spinner.node

@@ -21,9 +21,9 @@ from pathlib import Path
 from msgspec import Struct
 from rclpy.node import Node
 
-from authguard_r.client.attesting import Attester, AttestingEnd, Seen, aged
+from authguard_r.client.attesting import Attester, AttestingEnd, Measurement, aged
 from authguard_r.client.handshake import GateVerifier
-from authguard_r.client.link import Log, require_folder, run_all, until_told, wall_now
+from authguard_r.client.link import ProcessLog, require_folder, run_all, until_told, wall_now
 from authguard_r.client.sensing import listen, read_raw
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.identifiers import Identifier, RobotId, VariableId
@@ -35,7 +35,7 @@ from authguard_r.integrations.ros.map import Position, RosMap, read_map
 from authguard_r.integrations.ros.nodes.localization import Localization
 from authguard_r.integrations.ros.nodes.loop import raised, spun
 from authguard_r.integrations.ros.nodes.process import DEMO, plain_node, require_bench, ros_context
-from authguard_r.integrations.ros.position import MS, Fix, Track
+from authguard_r.integrations.ros.position import MS, Fix, PositionTrack
 from authguard_r.integrations.ros.rights import ESTIMATOR_NODE
 from authguard_r.integrations.ros.security import require_security
 from authguard_r.integrations.tools.files import trusted_site
@@ -55,7 +55,7 @@ PATH_MS = 250
 _ROUNDED_MM = 1
 
 
-class Place(Struct, frozen=True, kw_only=True):
+class EstimatorTarget(Struct, frozen=True, kw_only=True):
     """Which robot, which gate, and by which key.
 
     Args:
@@ -90,7 +90,7 @@ class Estimate:
         self._robot = robot
         self._position = position
         self._fix = fix
-        self._others: Seen | None = None
+        self._others: Measurement | None = None
 
     def heard(self, item: Frame, now_ms: int) -> None:
         """Take raw values from the sensors.
@@ -100,7 +100,7 @@ class Estimate:
         """
         self._others = read_raw(item, now_ms, self._robot)
 
-    def look(self, now_ms: int) -> Seen | None:
+    def look(self, now_ms: int) -> Measurement | None:
         """Return what may be signed now, each value as old as it is; None: nothing."""
         fix, others = self._fix(), self._others
         if fix is None:
@@ -124,7 +124,7 @@ class Estimate:
         snapshot = Snapshot(
             robot=self._robot, epoch=0, seq=0, pose=pose, readings={**readings, SPEED: speed}
         )
-        return Seen(snapshot, now_ms, PATH_MS)
+        return Measurement(snapshot, now_ms, PATH_MS)
 
 
 def located(ros: RosMap, site: Site) -> Position:
@@ -146,7 +146,7 @@ def located(ros: RosMap, site: Site) -> Position:
     return position
 
 
-async def attest(place: Place, log: Log, until: asyncio.Event) -> None:
+async def attest(place: EstimatorTarget, log: ProcessLog, until: asyncio.Event) -> None:
     """Attest the robot's place until the event is set.
 
     Raises:
@@ -173,8 +173,8 @@ async def attest(place: Place, log: Log, until: asyncio.Event) -> None:
             await run_all((end.stay(), end.sign(), listening, raised(failed)), until=until)
 
 
-def _localization(node: Node, place: Place, log: Log) -> Localization:
-    track = Track(max_speed_mm_s=place.max_speed_mm_s, margin_mm=place.position.margin_mm)
+def _localization(node: Node, place: EstimatorTarget, log: ProcessLog) -> Localization:
+    track = PositionTrack(max_speed_mm_s=place.max_speed_mm_s, margin_mm=place.position.margin_mm)
     return Localization(node, place.position, track, log)
 
 
@@ -196,12 +196,12 @@ def main() -> None:
     given = asks.parse_args()
     try:
         place = _place(given)
-        asyncio.run(until_told(lambda until: attest(place, Log(), until)))
+        asyncio.run(until_told(lambda until: attest(place, ProcessLog(), until)))
     except AuthGuardError as error:
         sys.exit(str(error))
 
 
-def _place(given: argparse.Namespace) -> Place:
+def _place(given: argparse.Namespace) -> EstimatorTarget:
     """Return what the words name, each of it held to what it has to be."""
     ros = read_map(given.map)
     if not given.demo:
@@ -215,7 +215,7 @@ def _place(given: argparse.Namespace) -> Place:
     passphrase = None if asked is None else lambda _: read_passphrase(asked)
     signer = certified(open_named(given.key, passphrase), given.cert)
     require_estimator(signer, trust, ros.robot, wall_now(), where=given.cert)
-    return Place(
+    return EstimatorTarget(
         ros=ros,
         position=position,
         run=given.run,

@@ -21,8 +21,8 @@ from rclpy.qos import QoSProfile, qos_profile_action_status_default
 from unique_identifier_msgs.msg import UUID
 
 from authguard_r.core.standing import Outcome
-from authguard_r.integrations.ros.nodes.proxies import STOP_S, Order, Robot, fields_of
-from authguard_r.integrations.tools.server import Answer
+from authguard_r.integrations.ros.nodes.proxies import STOP_S, DispatchOrder, RobotProxy, fields_of
+from authguard_r.integrations.tools.server import ToolAnswer
 
 #: A server that lives says within this whether it takes a goal, in seconds.
 TAKE_S = 2.0
@@ -49,7 +49,7 @@ _OUTCOMES = {
 class _Goal:
     """A goal of ours, until it is over."""
 
-    def __init__(self, order: Order) -> None:
+    def __init__(self, order: DispatchOrder) -> None:
         self.order = order
         self.id = UUID(uuid=list(uuid4().bytes))
         self.asked_s = asyncio.get_running_loop().time()
@@ -62,7 +62,7 @@ class _Goal:
         return not self.is_taken and waited_s > _LOST_S
 
 
-class ActionOutlet:
+class ActionClientProxy:
     """Sends goals of one action.
 
     Args:
@@ -71,7 +71,7 @@ class ActionOutlet:
         name: the action that does it.
     """
 
-    def __init__(self, robot: Robot, kind: Any, name: str) -> None:
+    def __init__(self, robot: RobotProxy, kind: Any, name: str) -> None:
         self.kind = kind.Goal
         self._robot = robot
         self._impl, self._name = kind.Impl, name
@@ -121,7 +121,7 @@ class ActionOutlet:
         """True while somebody there says that goals run, though the rest of it is not seen."""
         return bool(self._active) and self._heard[-1].get_publisher_count() > 0
 
-    def begin(self, order: Order) -> None:
+    def begin(self, order: DispatchOrder) -> None:
         """Send the goal."""
         goal = _Goal(order)
         self._goals[bytes(goal.id.uuid)] = goal
@@ -215,7 +215,7 @@ class ActionOutlet:
         release = goal.order.release
         outcome = _OUTCOMES.get(said.status, Outcome.UNKNOWN)
         told = release.answered(said.result, status=said.status)
-        answer = Answer(is_error=False, structured=fields_of(said.result))
+        answer = ToolAnswer(is_error=False, structured=fields_of(said.result))
         if outcome is Outcome.SUCCEEDED and not answer.is_done(goal.order.wanted):
             outcome = Outcome.FAILED
         release.end(outcome, told)

@@ -33,7 +33,7 @@ from std_msgs.msg import UInt64
 
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.reasons import Reason
-from authguard_r.integrations.ros.latch import MS, Latch, Why
+from authguard_r.integrations.ros.latch import MS, Latch, LatchCause
 
 #: Between two samples, in milliseconds: 50 Hz.
 PERIOD_MS = 20
@@ -77,7 +77,7 @@ def new_latch() -> Latch:
     return Latch(silence_ms=SILENCE_MS, settle_ms=SETTLE_MS)
 
 
-class Told(Struct, frozen=True, kw_only=True):
+class PublisherEvent(Struct, frozen=True, kw_only=True):
     """What the middleware tells of publishers, and what a listener has to do without.
 
     Args:
@@ -89,7 +89,7 @@ class Told(Struct, frozen=True, kw_only=True):
     ids: bool = True
 
 
-ALL = Told()
+ALL = PublisherEvent()
 
 
 class Heartbeat:
@@ -187,8 +187,8 @@ def listen(
     kind: type[Any],
     *,
     heard: Callable[[Any, bytes], None],
-    lost: Callable[[Why], None],
-    told: Told = ALL,
+    lost: Callable[[LatchCause], None],
+    told: PublisherEvent = ALL,
 ) -> Subscription[Any]:
     """Return a subscription with the profile of heartbeats and all that DDS says of it.
 
@@ -209,7 +209,7 @@ def listen(
     def take(message: Any, origin: Mapping[str, Any]) -> None:
         named = origin.get("publisher_gid") if told.ids else None
         if named is None and about.are_several:
-            lost(Why.ANOTHER)  # nobody can say whose it is
+            lost(LatchCause.ANOTHER)  # nobody can say whose it is
         else:
             heard(message, b"" if named is None else bytes(named["data"]))
 
@@ -252,13 +252,13 @@ class _Publishers:
     twenty seconds. So a match that is new counts, and the end of the last one.
     """
 
-    def __init__(self, lost: Callable[[Why], None]) -> None:
+    def __init__(self, lost: Callable[[LatchCause], None]) -> None:
         self.are_several = False
         self._lost = lost
 
     def events(self) -> SubscriptionEventCallbacks:
         return SubscriptionEventCallbacks(
-            deadline=lambda _: self._lost(Why.DEADLINE),
+            deadline=lambda _: self._lost(LatchCause.DEADLINE),
             liveliness=self._changed,
             matched=self._matched,
         )
@@ -266,10 +266,10 @@ class _Publishers:
     def _changed(self, event: Any) -> None:
         self.are_several = event.alive_count > 1
         if event.alive_count != 1:
-            self._lost(Why.ANOTHER if self.are_several else Why.LIVELINESS)
+            self._lost(LatchCause.ANOTHER if self.are_several else LatchCause.LIVELINESS)
 
     def _matched(self, event: Any) -> None:
         if event.total_count_change > 0:
-            self._lost(Why.ANOTHER)
+            self._lost(LatchCause.ANOTHER)
         elif event.current_count == 0:
-            self._lost(Why.GONE)
+            self._lost(LatchCause.GONE)

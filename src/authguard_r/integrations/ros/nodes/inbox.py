@@ -15,7 +15,7 @@ from authguard_r.integrations.ros.nodes.loop import Spinner
 T = TypeVar("T")
 
 
-class Inbox(Generic[T]):
+class ThreadInbox(Generic[T]):
     """A queue from the thread to the loop; whoever floods it never makes it longer.
 
     Args:

@@ -19,12 +19,12 @@ from rclpy.context import Context
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 
-from authguard_r.client.link import Log
+from authguard_r.client.link import ProcessLog
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.integrations.ros.nodes.mediator import (
     NAMESPACE,
     Mediator,
-    Place,
+    MediatorTarget,
     configured,
     serving,
 )
@@ -34,7 +34,7 @@ from authguard_r.integrations.tools.endpoints import first_of
 NAME = GATE_NODE.rpartition("/")[2]
 
 
-class Step(StrEnum):
+class LifecycleStep(StrEnum):
     """A transition."""
 
     CONFIGURE = "configure"
@@ -54,7 +54,7 @@ class Managed(LifecycleNode):  # type: ignore[misc]
     """
 
     def __init__(
-        self, context: Context, facts: Mapping[str, str], carry: Callable[[Step], bool]
+        self, context: Context, facts: Mapping[str, str], carry: Callable[[LifecycleStep], bool]
     ) -> None:
         super().__init__(
             NAME,
@@ -70,35 +70,35 @@ class Managed(LifecycleNode):  # type: ignore[misc]
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:  # noqa: ARG002
         """Check everything, reach the robot, and stop what runs there."""
-        return self._said(Step.CONFIGURE)
+        return self._said(LifecycleStep.CONFIGURE)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Serve planners."""
         super().on_activate(state)
-        return self._said(Step.ACTIVATE)
+        return self._said(LifecycleStep.ACTIVATE)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop the robot, tell planners how that ended, and serve them no more."""
         super().on_deactivate(state)
-        return self._said(Step.DEACTIVATE)
+        return self._said(LifecycleStep.DEACTIVATE)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:  # noqa: ARG002
         """Let go of the robot and of the gate."""
-        return self._said(Step.CLEANUP)
+        return self._said(LifecycleStep.CLEANUP)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:  # noqa: ARG002
         """Stop the robot, and end."""
-        return self._said(Step.SHUTDOWN)
+        return self._said(LifecycleStep.SHUTDOWN)
 
-    def _said(self, step: Step) -> TransitionCallbackReturn:
+    def _said(self, step: LifecycleStep) -> TransitionCallbackReturn:
         done = self._carry(step)
         return TransitionCallbackReturn.SUCCESS if done else TransitionCallbackReturn.FAILURE
 
 
-class _Asked(NamedTuple):
+class _AwaitedTransition(NamedTuple):
     """A transition that somebody waits for."""
 
-    step: Step
+    step: LifecycleStep
     done: asyncio.Future[bool]
 
     def answer(self, *, done: bool) -> None:
@@ -116,23 +116,25 @@ class States:
         log: says what happens.
     """
 
-    def __init__(self, place: Callable[[], Place], context: Context, log: Log) -> None:
+    def __init__(
+        self, place: Callable[[], MediatorTarget], context: Context, log: ProcessLog
+    ) -> None:
         self._place, self._context, self._log = place, context, log
         self._loop = asyncio.get_running_loop()
-        self._asked: asyncio.Queue[_Asked] = asyncio.Queue()
-        self._waiting: set[_Asked] = set()
+        self._asked: asyncio.Queue[_AwaitedTransition] = asyncio.Queue()
+        self._waiting: set[_AwaitedTransition] = set()
         self._is_over = False
         #: why it is not configured, if somebody tried
         self.fault: AuthGuardError | None = None
         #: what of the robot was not there when it was configured
         self.missing: tuple[str, ...] = ()
 
-    def carry(self, step: Step) -> bool:
+    def carry(self, step: LifecycleStep) -> bool:
         """Return whether a transition was carried out; from another thread than the loop's."""
         return asyncio.run_coroutine_threadsafe(self._carried(step), self._loop).result()
 
-    async def _carried(self, step: Step) -> bool:
-        asked = _Asked(step, self._loop.create_future())
+    async def _carried(self, step: LifecycleStep) -> bool:
+        asked = _AwaitedTransition(step, self._loop.create_future())
         if self._is_over:
             return False
         self._waiting.add(asked)
@@ -151,17 +153,19 @@ class States:
         try:
             while True:
                 asked = await self._asked.get()
-                ended = asked if asked.step is Step.SHUTDOWN else await self._configure(asked)
+                ended = (
+                    asked if asked.step is LifecycleStep.SHUTDOWN else await self._configure(asked)
+                )
                 if ended is not None:
                     ended.answer(done=True)
-                    if ended.step is Step.SHUTDOWN:
+                    if ended.step is LifecycleStep.SHUTDOWN:
                         return
         finally:
             self._is_over = True
             for asked in self._waiting:  # the thread that asked waits, and nobody else answers
                 asked.answer(done=False)
 
-    async def _configure(self, asked: _Asked) -> _Asked | None:
+    async def _configure(self, asked: _AwaitedTransition) -> _AwaitedTransition | None:
         """Live configured; return what ended that, None when it was not configured."""
         try:
             async with configured(self._place(), self._context, self._log) as mediator:
@@ -177,16 +181,16 @@ class States:
             asked.answer(done=False)
             return None
 
-    async def _inactive(self, mediator: Mediator) -> _Asked:
+    async def _inactive(self, mediator: Mediator) -> _AwaitedTransition:
         """Live configured and not served; return what ended that: a cleanup or a shutdown."""
         while True:
             asked = await self._asked.get()
-            if asked.step is not Step.ACTIVATE:
+            if asked.step is not LifecycleStep.ACTIVATE:
                 return asked
             async with serving(mediator, self._context):
                 asked.answer(done=True)
                 ended = await self._asked.get()
-            if ended.step is Step.SHUTDOWN:
+            if ended.step is LifecycleStep.SHUTDOWN:
                 return ended
             ended.answer(done=True)
 

@@ -17,18 +17,18 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from authguard_r.client.link import Log
+from authguard_r.client.link import ProcessLog
 from authguard_r.integrations.ros.map import Position
-from authguard_r.integrations.ros.names import Part
-from authguard_r.integrations.ros.nodes.heartbeat import ALL, Told, require_name, steady
+from authguard_r.integrations.ros.names import TypePart
+from authguard_r.integrations.ros.nodes.heartbeat import ALL, PublisherEvent, require_name, steady
 from authguard_r.integrations.ros.nodes.values import load_type
 from authguard_r.integrations.ros.position import (
     MS,
+    DoubtCause,
     Fix,
-    Sample,
+    PositionSample,
+    PositionTrack,
     Stamps,
-    Track,
-    Why,
     covariance_fault,
 )
 from authguard_r.integrations.ros.transforms import (
@@ -77,7 +77,13 @@ class Localization:
     """
 
     def __init__(
-        self, node: Node, position: Position, track: Track, log: Log, *, told: Told = ALL
+        self,
+        node: Node,
+        position: Position,
+        track: PositionTrack,
+        log: ProcessLog,
+        *,
+        told: PublisherEvent = ALL,
     ) -> None:
         self._node = node
         self._told = told
@@ -106,14 +112,14 @@ class Localization:
         self,
         topic: str,
         kind: str,
-        hear: Callable[[Any, bytes, int], Why | None],
+        hear: Callable[[Any, bytes, int], DoubtCause | None],
         *,
         lasting: bool = False,
     ) -> None:
         require_name(self._node, topic)
         self._topics[topic] = kind
         take = partial(self._take, hear)
-        loaded = load_type(kind, Part.MESSAGE)
+        loaded = load_type(kind, TypePart.MESSAGE)
 
         # rclpy looks at how many arguments a callback has
         def heard(message: Any, origin: Mapping[str, Any]) -> None:
@@ -131,7 +137,7 @@ class Localization:
 
     def _take(
         self,
-        hear: Callable[[Any, bytes, int], Why | None],
+        hear: Callable[[Any, bytes, int], DoubtCause | None],
         message: Any,
         origin: Mapping[str, Any],
     ) -> None:
@@ -143,31 +149,31 @@ class Localization:
         if why is not None:
             self._doubt(why)
 
-    def _doubt(self, why: Why) -> None:
+    def _doubt(self, why: DoubtCause) -> None:
         self._track.doubt(why)
         self._stamps = Stamps()
 
     # odometry
 
-    def _odometry(self, message: Any, who: bytes, arrived_ns: int) -> Why | None:
+    def _odometry(self, message: Any, who: bytes, arrived_ns: int) -> DoubtCause | None:
         """Judge a message of odometry; return why it is not even a position."""
         wanted, stranger = self._position, self._track.stranger(who)
         if stranger is not None:  # before its stamps are taken for the other one's
             return stranger
         if message.header.frame_id != wanted.frame:
-            return Why.FRAME
+            return DoubtCause.FRAME
         if message.child_frame_id != wanted.child:
-            return Why.CHILD
+            return DoubtCause.CHILD
         placed = _placed(message.pose.pose.position, message.pose.pose.orientation)
         fault = fault_of(placed) or covariance_fault(message.pose.covariance, wanted.margin_mm)
         if fault is not None:
             return fault
         measured = self._stamps.take(_stamp_ns(message.header), arrived_ns)
-        if isinstance(measured, Why):
+        if isinstance(measured, DoubtCause):
             return measured
         speed = message.twist.twist.linear
         self._judge(
-            Sample(
+            PositionSample(
                 x=placed.at.x,
                 y=placed.at.y,
                 z=placed.at.z,
@@ -179,21 +185,21 @@ class Localization:
         )
         return None
 
-    def _judge(self, sample: Sample) -> None:
+    def _judge(self, sample: PositionSample) -> None:
         self._track.take(sample)
         if self._track.is_lost:
             self._stamps = Stamps()
 
     # transforms
 
-    def _transforms(self, message: Any, who: bytes, arrived_ns: int) -> Why | None:
+    def _transforms(self, message: Any, who: bytes, arrived_ns: int) -> DoubtCause | None:
         """Take transforms, and judge where they lead if any of them is on the way."""
         if len(message.transforms) > MAX_FRAMES:
-            return Why.TOO_MUCH
+            return DoubtCause.TOO_MUCH
         if not who:
-            return Why.UNNAMED
+            return DoubtCause.UNNAMED
         wanted, frames = self._position, self._frames
-        on_way, faults = set[str](), dict[str, Why]()
+        on_way, faults = set[str](), dict[str, DoubtCause]()
         on_way |= frames.on_way(wanted.frame, wanted.child)
         for one in message.transforms:
             fault = frames.put(
@@ -208,33 +214,33 @@ class Localization:
                 faults[one.child_frame_id] = fault
         on_way |= frames.on_way(wanted.frame, wanted.child)
         for child, why in faults.items():
-            if child in on_way or why is Why.TOO_MUCH:
+            if child in on_way or why is DoubtCause.TOO_MUCH:
                 return why
         if any(one.child_frame_id in on_way for one in message.transforms):
             return self._go()
         return None
 
-    def _transforms_for_ever(self, message: Any, *_: object) -> Why | None:
+    def _transforms_for_ever(self, message: Any, *_: object) -> DoubtCause | None:
         """Take transforms that never change."""
         if len(message.transforms) > MAX_FRAMES:
-            return Why.TOO_MUCH
+            return DoubtCause.TOO_MUCH
         frames = self._frames
         on_way = frames.on_way(self._position.frame, self._position.child)
         for one in message.transforms:
             placed = _placed(one.transform.translation, one.transform.rotation)
             why = frames.put_static(one.child_frame_id, one.header.frame_id, placed)
-            if why is not None and (one.child_frame_id in on_way or why is Why.TOO_MUCH):
+            if why is not None and (one.child_frame_id in on_way or why is DoubtCause.TOO_MUCH):
                 return why
         return None
 
-    def _go(self) -> Why | None:
+    def _go(self) -> DoubtCause | None:
         """Judge where the transforms lead now."""
         way = self._frames.way(self._position.frame, self._position.child)
-        if isinstance(way, Why):
+        if isinstance(way, DoubtCause):
             return way
         at = way.at
         self._judge(
-            Sample(
+            PositionSample(
                 x=at.x,
                 y=at.y,
                 z=at.z,
@@ -252,7 +258,7 @@ class Localization:
         self._track.look(now_ns)
         self._looks += 1
         if self._looks % _TYPES == 0 and not all(map(self._is_of_type, self._topics)):
-            self._doubt(Why.TYPE)
+            self._doubt(DoubtCause.TYPE)
         if now_ns - self._said_ns >= SAY_MS * MS:
             self._say(now_ns)
 

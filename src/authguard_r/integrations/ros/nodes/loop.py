@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 from rclpy.action import ActionClient, ActionServer
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
-from authguard_r.client.link import Log
+from authguard_r.client.link import ProcessLog
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.reasons import Reason
 
@@ -198,7 +198,7 @@ async def raised(failed: asyncio.Future[None]) -> None:
     await asyncio.shield(failed)
 
 
-async def kept(work: Callable[[], Coroutine[Any, Any, None]], log: Log) -> None:
+async def kept(work: Callable[[], Coroutine[Any, Any, None]], log: ProcessLog) -> None:
     """Do work until this is canceled, again when it failed: it is beside what holds the robot."""
     while True:
         try:

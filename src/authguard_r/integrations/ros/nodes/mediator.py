@@ -20,26 +20,31 @@ from rclpy.context import Context
 
 from authguard_r.client.driver import Driver
 from authguard_r.client.handshake import GateVerifier
-from authguard_r.client.link import Log, require_folder
-from authguard_r.client.reconnecting import GatePlace, KeptGate
+from authguard_r.client.link import ProcessLog, require_folder
+from authguard_r.client.reconnecting import GatePlace, ReconnectingClient
 from authguard_r.core.errors import EnvironmentFault, StoreError
 from authguard_r.core.reasons import Reason
 from authguard_r.integrations.ros.calls import fitted
-from authguard_r.integrations.ros.map import PARTS, Kind, Mediated, RosMap
-from authguard_r.integrations.ros.nodes.actions import ActionInlet, Public
-from authguard_r.integrations.ros.nodes.body import Means, RosBody
-from authguard_r.integrations.ros.nodes.goals import ActionOutlet
+from authguard_r.integrations.ros.map import PARTS, Mediated, MediationKind, RosMap
+from authguard_r.integrations.ros.nodes.actions import ActionProxyServer, Public
+from authguard_r.integrations.ros.nodes.body import RosBody, RosDrivers
+from authguard_r.integrations.ros.nodes.goals import ActionClientProxy
 from authguard_r.integrations.ros.nodes.heartbeat import gate_heartbeat
 from authguard_r.integrations.ros.nodes.loop import Spinner, raised, spun
 from authguard_r.integrations.ros.nodes.process import plain_node, ros_context
-from authguard_r.integrations.ros.nodes.proposals import Proposals
-from authguard_r.integrations.ros.nodes.proxies import MessageOutlet, Outlet, Robot, ServiceOutlet
+from authguard_r.integrations.ros.nodes.proposals import PlannerProposals
+from authguard_r.integrations.ros.nodes.proxies import (
+    ClientProxy,
+    MessageClientProxy,
+    RobotProxy,
+    ServiceClientProxy,
+)
 from authguard_r.integrations.ros.nodes.releases import Releases
-from authguard_r.integrations.ros.nodes.services import MessageInlet, ServiceInlet
-from authguard_r.integrations.ros.nodes.status_publishers import Telling
-from authguard_r.integrations.ros.nodes.streams import StreamInlet
+from authguard_r.integrations.ros.nodes.services import MessageProxyServer, ServiceProxyServer
+from authguard_r.integrations.ros.nodes.status_publishers import StatusPublishers
+from authguard_r.integrations.ros.nodes.streams import StreamServer
 from authguard_r.integrations.ros.nodes.values import load_type, require_narrow
-from authguard_r.integrations.ros.nodes.velocity import StreamOutlet
+from authguard_r.integrations.ros.nodes.velocity import StreamClientProxy
 from authguard_r.integrations.ros.rights import GATE_NODE
 from authguard_r.integrations.tools.files import words_of
 from authguard_r.normalize import Binder
@@ -60,7 +65,7 @@ _LOOK_S = 0.02
 NAMESPACE = GATE_NODE.rpartition("/")[0]
 
 
-class Place(Struct, frozen=True, kw_only=True):
+class MediatorTarget(Struct, frozen=True, kw_only=True):
     """Which robot and which gate.
 
     Args:
@@ -90,18 +95,20 @@ class Mediator:
         log: says what happens.
     """
 
-    def __init__(self, place: Place, spinner: Spinner, types: dict[str, Any], log: Log) -> None:
+    def __init__(
+        self, place: MediatorTarget, spinner: Spinner, types: dict[str, Any], log: ProcessLog
+    ) -> None:
         self._place, self._spinner, self._types, self._log = place, spinner, types, log
         self._group = ReentrantCallbackGroup()
-        self._inlets: tuple[ActionInlet, ...] = ()
+        self._inlets: tuple[ActionProxyServer, ...] = ()
         #: the process's
         self.enclave = place.ros.enclaves.gate
         robot, ros, site = place.ros.robot, place.ros, place.site
-        self._telling = Telling(ros, site)
+        self._telling = StatusPublishers(ros, site)
         spoken = fitted(place.binding, ros, site)
         releases = Releases()
         self._binder = Binder(site, spoken)
-        means = Means(
+        means = RosDrivers(
             site=site,
             ros=ros,
             binder=self._binder,
@@ -113,7 +120,7 @@ class Mediator:
         self.gate = GatePlace(
             robot=robot, run=place.run, trust=place.trust, client=place.client, speaks=speaks
         )
-        self.proposals = Proposals(self.gate, releases)
+        self.proposals = PlannerProposals(self.gate, releases)
         self.proven = asyncio.Event()
         self.driver = Driver(
             self.body,
@@ -126,7 +133,7 @@ class Mediator:
 
     def reach(self) -> None:
         """Make the clients and publishers that reach the robot; on the thread of ROS."""
-        robot = Robot(
+        robot = RobotProxy(
             spinner=self._spinner,
             group=self._group,
             changed=self._look,
@@ -152,17 +159,17 @@ class Mediator:
             proposals=self.proposals,
             log=self._log,
         )
-        actions: list[ActionInlet] = []
+        actions: list[ActionProxyServer] = []
         for key, item in self._place.ros.mediated.items():
             kind = self._types[key]
-            if item.kind is Kind.ACTION:
-                actions.append(ActionInlet(public, key, item, kind))
-            elif item.kind is Kind.SERVICE:
-                ServiceInlet(public, key, item, kind)
-            elif item.kind is Kind.MESSAGE:
-                MessageInlet(public, key, item, kind)
+            if item.kind is MediationKind.ACTION:
+                actions.append(ActionProxyServer(public, key, item, kind))
+            elif item.kind is MediationKind.SERVICE:
+                ServiceProxyServer(public, key, item, kind)
+            elif item.kind is MediationKind.MESSAGE:
+                MessageProxyServer(public, key, item, kind)
             else:
-                StreamInlet(public, key, item, kind, self._binder)
+                StreamServer(public, key, item, kind, self._binder)
         self._inlets = tuple(actions)
         self._telling.serve(public, self.gate, body=self.body, desk=self.driver.desk)
 
@@ -173,16 +180,16 @@ class Mediator:
                 while not all(inlet.is_idle for inlet in self._inlets):
                     await asyncio.sleep(_LOOK_S)
 
-    def _outlet(self, robot: Robot, key: str, item: Mediated) -> Outlet:
+    def _outlet(self, robot: RobotProxy, key: str, item: Mediated) -> ClientProxy:
         kind = self._types[key]
-        if item.kind is Kind.ACTION:
-            return ActionOutlet(robot, kind, item.private)
-        if item.kind is Kind.SERVICE:
-            return ServiceOutlet(robot, kind, item.private)
-        if item.kind is Kind.MESSAGE:
-            return MessageOutlet(robot, kind, item.private)
+        if item.kind is MediationKind.ACTION:
+            return ActionClientProxy(robot, kind, item.private)
+        if item.kind is MediationKind.SERVICE:
+            return ServiceClientProxy(robot, kind, item.private)
+        if item.kind is MediationKind.MESSAGE:
+            return MessageClientProxy(robot, kind, item.private)
         profile = self._place.site.robots[self._place.ros.robot].profile
-        return StreamOutlet(robot, kind, item.private, profile)
+        return StreamClientProxy(robot, kind, item.private, profile)
 
     def _lapsed(self) -> None:
         """Stop a robot whose watches took this for dead."""
@@ -194,7 +201,9 @@ class Mediator:
 
 
 @asynccontextmanager
-async def configured(place: Place, context: Context, log: Log) -> AsyncIterator[Mediator]:
+async def configured(
+    place: MediatorTarget, context: Context, log: ProcessLog
+) -> AsyncIterator[Mediator]:
     """Reach the robot for the gate, and stop whatever runs there; planners see nothing of it yet.
 
     Raises:
@@ -242,7 +251,7 @@ async def serving(mediator: Mediator, context: Context) -> AsyncIterator[None]:
 
 
 @asynccontextmanager
-async def mediating(place: Place, log: Log) -> AsyncIterator[Mediator]:
+async def mediating(place: MediatorTarget, log: ProcessLog) -> AsyncIterator[Mediator]:
     """Stand between planners and a robot; what is inside runs once everything is served.
 
     Raises:
@@ -279,7 +288,7 @@ async def _ready(mediator: Mediator) -> None:
         )
 
 
-async def _come(proposals: Proposals) -> None:
+async def _come(proposals: PlannerProposals) -> None:
     """Return once the gate is there.
 
     Raises:
@@ -299,7 +308,7 @@ async def _require_store(place: GatePlace) -> None:
         StoreError: it was put back (`ROLLED_BACK`); an operator has to sign a `resume`.
         AuthGuardError: it does not say, to a client of this user.
     """
-    kept = KeptGate(place, ClientRole.AUDITOR)
+    kept = ReconnectingClient(place, ClientRole.AUDITOR)
     try:
         gate = await kept.connected()
         anchor = (await gate.status())["anchor"]

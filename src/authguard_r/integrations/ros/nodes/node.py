@@ -19,12 +19,12 @@ from typing import Any
 
 from rclpy.lifecycle import TransitionCallbackReturn
 
-from authguard_r.client.link import Log
+from authguard_r.client.link import ProcessLog
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.integrations.ros.map import RosMap, read_map
 from authguard_r.integrations.ros.nodes.lifecycle import Managed, States
 from authguard_r.integrations.ros.nodes.loop import Spinner, spun
-from authguard_r.integrations.ros.nodes.mediator import Place
+from authguard_r.integrations.ros.nodes.mediator import MediatorTarget
 from authguard_r.integrations.ros.nodes.process import DEMO, made_by_ros, require_bench, ros_context
 from authguard_r.integrations.ros.security import require_security
 from authguard_r.integrations.tools.endpoints import first_of
@@ -60,7 +60,7 @@ def main() -> None:
 
 
 async def _serve(given: argparse.Namespace) -> None:
-    log = Log()
+    log = ProcessLog()
     ros = _own_map(given)
     over = asyncio.Event()
     loop = asyncio.get_running_loop()
@@ -122,7 +122,7 @@ def _own_map(given: argparse.Namespace) -> RosMap:
     return ros
 
 
-def _place(given: argparse.Namespace) -> Place:
+def _place(given: argparse.Namespace) -> MediatorTarget:
     """Return where and what, read anew.
 
     Raises:
@@ -131,7 +131,7 @@ def _place(given: argparse.Namespace) -> Place:
     trust = read_trust(given.trust)
     require_bench(trust, demo=given.demo)
     site = trusted_site(given.site, trust)
-    return Place(
+    return MediatorTarget(
         ros=_own_map(given),
         run=given.run,
         site=site,

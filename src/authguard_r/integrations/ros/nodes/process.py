@@ -23,7 +23,7 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import get_rmw_implementation_identifier
 
-from authguard_r.client.link import Log
+from authguard_r.client.link import ProcessLog
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault
 from authguard_r.core.reasons import Reason
 from authguard_r.integrations.ros.map import RosMap
@@ -39,7 +39,7 @@ DEMO = "--demo"
 LOOK_S = 0.1
 
 
-class Closing(Protocol):
+class NodeCleanup(Protocol):
     """What runs in a node."""
 
     def close(self) -> None:
@@ -101,7 +101,7 @@ def run_node(
     name: str,
     words: list[str],
     wanted: tuple[str, ...],
-    ready: Callable[..., tuple[RosMap, str, Callable[[Node], Closing]]],
+    ready: Callable[..., tuple[RosMap, str, Callable[[Node], NodeCleanup]]],
 ) -> int:
     """Run one node until SIGTERM or SIGINT, and return the process's exit code.
 
@@ -115,7 +115,7 @@ def run_node(
         wanted: what each of them is.
         ready: takes the words; returns the map, the enclave, and what makes the node's work.
     """
-    log = Log()
+    log = ProcessLog()
     given = [word for word in words if word != DEMO]
     if "--help" in given or "-h" in given:
         sys.stdout.write(f"{name} {' '.join(wanted)} [{DEMO}]\n")
@@ -136,7 +136,7 @@ def run_node(
     return 0
 
 
-def _spin(name: str, ros: RosMap, enclave: str, build: Callable[[Node], Closing]) -> None:
+def _spin(name: str, ros: RosMap, enclave: str, build: Callable[[Node], NodeCleanup]) -> None:
     over = threading.Event()
     # not those of rclpy: they take the context away before a last word is said
     for number in (signal.SIGTERM, signal.SIGINT):

@@ -17,7 +17,7 @@ from authguard_r.client.reconnecting import GatePlace
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault
 from authguard_r.core.reasons import Reason
 from authguard_r.integrations.ros.nodes.releases import Release, Releases
-from authguard_r.integrations.tools.planner import Asked, Planner
+from authguard_r.integrations.tools.planner import CallOutcome, ToolPlanner
 from authguard_r.normalize.bind import UNTOLD
 from authguard_r.normalize.dialects import Call
 
@@ -27,7 +27,7 @@ MOST = 6
 _MOST_UNREADABLE = 16
 
 
-class Proposals:
+class PlannerProposals:
     """Asks the gate for planners.
 
     Args:
@@ -36,8 +36,8 @@ class Proposals:
     """
 
     def __init__(self, place: GatePlace, releases: Releases) -> None:
-        self._planners = tuple(Planner(place) for _ in range(MOST))
-        self._notes = Planner(place)
+        self._planners = tuple(ToolPlanner(place) for _ in range(MOST))
+        self._notes = ToolPlanner(place)
         self._releases = releases
         self._unreadable = 0
 
@@ -55,7 +55,7 @@ class Proposals:
         *,
         began: Callable[[Release], None],
         through: Callable[[AsyncGateClient, str], None] | None = None,
-    ) -> Asked:
+    ) -> CallOutcome:
         """Propose a call; return what became of it once that is known.
 
         Args:
@@ -113,7 +113,7 @@ class Proposals:
             return await planner.plan(data, told=hear)
 
     @asynccontextmanager
-    async def _turn(self) -> AsyncIterator[tuple[Planner, list[str]]]:
+    async def _turn(self) -> AsyncIterator[tuple[ToolPlanner, list[str]]]:
         """Yield a connection that is free, and a list for the tickets that it is told.
 
         Raises:
@@ -160,7 +160,7 @@ class Proposals:
             await planner.close()
 
 
-def code_of(asked: Asked) -> str:
+def code_of(asked: CallOutcome) -> str:
     """Return the deciding code of what did not succeed; empty of what did."""
     execution = asked.step["execution"]
     codes = asked.step["reasons"] if asked.execution is None else execution["reasons"]

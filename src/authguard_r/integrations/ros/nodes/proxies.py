@@ -19,7 +19,7 @@ from authguard_r.core.standing import Outcome
 from authguard_r.integrations.ros.nodes.loop import Spinner
 from authguard_r.integrations.ros.nodes.releases import Release
 from authguard_r.integrations.ros.nodes.values import plain_of
-from authguard_r.integrations.tools.server import Answer
+from authguard_r.integrations.tools.server import ToolAnswer
 from authguard_r.normalize.expected import Expected
 
 #: What stops the robot is answered within this, in seconds, or asked again.
@@ -28,7 +28,7 @@ STOP_S = 1.5
 _DEPTH = 10
 
 
-class Robot(Struct, frozen=True, kw_only=True):
+class RobotProxy(Struct, frozen=True, kw_only=True):
     """What every outlet has.
 
     Args:
@@ -48,7 +48,7 @@ class Robot(Struct, frozen=True, kw_only=True):
     is_alive: Callable[[], bool]
 
 
-class Order(Struct, frozen=True, kw_only=True):
+class DispatchOrder(Struct, frozen=True, kw_only=True):
     """What an outlet is to carry out.
 
     Args:
@@ -66,7 +66,7 @@ class Order(Struct, frozen=True, kw_only=True):
     duration_ms: int = 0
 
 
-class Outlet(Protocol):
+class ClientProxy(Protocol):
     """Carries out one kind of thing; what moves the robot one at a time."""
 
     @property
@@ -79,7 +79,7 @@ class Outlet(Protocol):
         """True while the robot's own part of it is there."""
         ...
 
-    def begin(self, order: Order) -> None:
+    def begin(self, order: DispatchOrder) -> None:
         """Begin to carry it out; its robot's part `is_there`.
 
         Raises:
@@ -96,7 +96,7 @@ class Outlet(Protocol):
         ...
 
 
-class ServiceOutlet:
+class ServiceClientProxy:
     """Calls a service.
 
     Args:
@@ -105,11 +105,11 @@ class ServiceOutlet:
         name: the service that does it.
     """
 
-    def __init__(self, robot: Robot, kind: Any, name: str) -> None:
+    def __init__(self, robot: RobotProxy, kind: Any, name: str) -> None:
         self.kind = kind.Request
         self._robot = robot
         self._client = robot.spinner.node.create_client(kind, name, callback_group=robot.group)
-        self._orders: dict[Release, Order] = {}  # until they are answered
+        self._orders: dict[Release, DispatchOrder] = {}  # until they are answered
         self._news = asyncio.Event()
 
     @property
@@ -117,12 +117,12 @@ class ServiceOutlet:
         """True while somebody serves it."""
         return bool(self._client.service_is_ready())
 
-    def begin(self, order: Order) -> None:
+    def begin(self, order: DispatchOrder) -> None:
         """Call it."""
         self._orders[order.release] = order
         self._robot.spinner.begin(self._carry(order))
 
-    async def _carry(self, order: Order) -> None:
+    async def _carry(self, order: DispatchOrder) -> None:
         release = order.release
         release.take()
         try:
@@ -131,7 +131,7 @@ class ServiceOutlet:
         except Exception:  # noqa: BLE001 - whatever it is, nobody knows what became of it
             release.end(Outcome.UNKNOWN)
         else:
-            answer = Answer(is_error=False, structured=fields_of(message))
+            answer = ToolAnswer(is_error=False, structured=fields_of(message))
             told = release.answered(message)
             done = answer.is_done(order.wanted)
             release.end(Outcome.SUCCEEDED if done else Outcome.FAILED, told)
@@ -155,7 +155,7 @@ class ServiceOutlet:
         """Do nothing: it takes its time."""
 
 
-class MessageOutlet:
+class MessageClientProxy:
     """Publishes one message for each release.
 
     Args:
@@ -164,7 +164,7 @@ class MessageOutlet:
         name: the topic that the robot hears.
     """
 
-    def __init__(self, robot: Robot, kind: Any, name: str) -> None:
+    def __init__(self, robot: RobotProxy, kind: Any, name: str) -> None:
         self.kind = kind
         self._publisher = robot.spinner.node.create_publisher(
             kind, name, _DEPTH, callback_group=robot.group
@@ -175,7 +175,7 @@ class MessageOutlet:
         """True while somebody hears it."""
         return bool(self._publisher.get_subscription_count() > 0)
 
-    def begin(self, order: Order) -> None:
+    def begin(self, order: DispatchOrder) -> None:
         """Publish it."""
         order.release.take()
         self._publisher.publish(order.message)

@@ -12,11 +12,11 @@ from collections import OrderedDict
 from collections.abc import Callable
 from typing import Any
 
-from authguard_r.client.controller import Told
+from authguard_r.client.controller import ExecutionNews
 from authguard_r.core.identifiers import Digest
 from authguard_r.core.standing import Outcome
 from authguard_r.integrations.ros.nodes.values import texts_of
-from authguard_r.integrations.tools.body import ToolFlight
+from authguard_r.integrations.tools.body import ToolGoal
 from authguard_r.integrations.tools.server import WITHHELD, fits
 from authguard_r.site.model import ActionModel
 
@@ -36,7 +36,7 @@ class Release:
 
     def __init__(self, kind: ActionModel, key: str, name: str = "") -> None:
         self.key, self.name = key, name
-        self.flight = ToolFlight(kind)
+        self.flight = ToolGoal(kind)
         #: whether the robot's own server took it
         self.taken: asyncio.Future[bool] = asyncio.get_running_loop().create_future()
         self.feedback: asyncio.Queue[Any] = asyncio.Queue(MAX_FEEDBACK)
@@ -63,14 +63,14 @@ class Release:
             self.feedback.task_done()  # else nobody would ever see the rest to its end
         self.feedback.put_nowait(feedback)
 
-    def answered(self, message: Any, *, status: int | None = None) -> Told:
+    def answered(self, message: Any, *, status: int | None = None) -> ExecutionNews:
         """Keep the robot's answer; return what of it goes through the gate: its words."""
         told = told_of(message)
         self.status = status
         self.answer = None if told.texts == (WITHHELD,) else message
         return told
 
-    def end(self, outcome: Outcome, told: Told | None = None) -> None:
+    def end(self, outcome: Outcome, told: ExecutionNews | None = None) -> None:
         """Note how it ended; the first word counts."""
         self._took(is_taken=False)
         self.flight.end(outcome, told)
@@ -110,8 +110,12 @@ class Releases:
         self._waiting.pop(ticket, None)
 
 
-def told_of(message: Any) -> Told:
+def told_of(message: Any) -> ExecutionNews:
     """Return what of an answer goes through the gate; the message itself stays in the process."""
     texts = texts_of(message)
-    told = Told(json.dumps({"texts": texts}).encode(), texts)
-    return told if fits(told) else Told(json.dumps({"texts": [WITHHELD]}).encode(), (WITHHELD,))
+    told = ExecutionNews(json.dumps({"texts": texts}).encode(), texts)
+    return (
+        told
+        if fits(told)
+        else ExecutionNews(json.dumps({"texts": [WITHHELD]}).encode(), (WITHHELD,))
+    )

@@ -22,7 +22,7 @@ from authguard_r.integrations.ros.nodes.actions import Public, read_call
 from authguard_r.integrations.ros.nodes.process import RCLError
 from authguard_r.integrations.ros.nodes.proposals import code_of
 from authguard_r.integrations.ros.nodes.releases import Release
-from authguard_r.integrations.tools.planner import Asked, LostError
+from authguard_r.integrations.tools.planner import CallOutcome, LostError
 from authguard_r.normalize.dialects import Call
 
 #: To send an answer takes so long where DDS waits for a client that does not take it, in seconds.
@@ -32,7 +32,7 @@ _DEPTH = 10
 _SILENCE = object()
 
 
-class ServiceInlet:
+class ServiceProxyServer:
     """Serves one service to planners.
 
     Args:
@@ -103,7 +103,7 @@ class ServiceInlet:
         return response
 
 
-class MessageInlet:
+class MessageProxyServer:
     """Hears one topic of planners', each message of which is a proposal.
 
     Args:
@@ -135,7 +135,7 @@ class MessageInlet:
 
 async def propose(
     public: Public, item: Mediated, read: Call | MalformedError, found: list[Release]
-) -> tuple[str, Asked | None]:
+) -> tuple[str, CallOutcome | None]:
     """Propose what a planner's message is; return why it did not succeed, and what became of it.
 
     Args:

@@ -13,14 +13,14 @@ from authguard_r.client.controller import ControllerDesk
 from authguard_r.client.reconnecting import GatePlace
 from authguard_r.integrations.ros.channels import require_channels
 from authguard_r.integrations.ros.map import RosMap
-from authguard_r.integrations.ros.names import Part
+from authguard_r.integrations.ros.names import TypePart
 from authguard_r.integrations.ros.nodes.actions import Public
 from authguard_r.integrations.ros.nodes.body import RosBody
 from authguard_r.integrations.ros.nodes.decisions import Decisions
 from authguard_r.integrations.ros.nodes.diagnostics import Diagnostics
 from authguard_r.integrations.ros.nodes.displayed_topics import Relay
 from authguard_r.integrations.ros.nodes.loop import kept
-from authguard_r.integrations.ros.nodes.text_plans import TextInlet
+from authguard_r.integrations.ros.nodes.text_plans import TextPlanServer
 from authguard_r.integrations.ros.nodes.values import load_type
 from authguard_r.site.model import Site
 
@@ -28,7 +28,7 @@ _DECISION = "authguard_interfaces/msg/Decision"
 _STATUS = "authguard_interfaces/msg/GateStatus"
 
 
-class Telling:
+class StatusPublishers:
     """All of it.
 
     Args:
@@ -43,9 +43,9 @@ class Telling:
     def __init__(self, ros: RosMap, site: Site) -> None:
         require_channels(ros, site)
         self._ros = ros
-        self._decision = load_type(_DECISION, Part.MESSAGE)
-        self._status = load_type(_STATUS, Part.MESSAGE)
-        self._shown = {key: load_type(one.type, Part.MESSAGE) for key, one in ros.shown.items()}
+        self._decision = load_type(_DECISION, TypePart.MESSAGE)
+        self._status = load_type(_STATUS, TypePart.MESSAGE)
+        self._shown = {key: load_type(one.type, TypePart.MESSAGE) for key, one in ros.shown.items()}
 
     def serve(
         self, public: Public, place: GatePlace, *, body: RosBody, desk: ControllerDesk
@@ -70,6 +70,6 @@ class Telling:
         ]
         work += [Relay(public, key, ros.shown[key], kind).stay for key, kind in self._shown.items()]
         if ros.proposals is not None:
-            work.append(TextInlet(public, ros.proposals).stay)
+            work.append(TextPlanServer(public, ros.proposals).stay)
         for one in work:
             public.spinner.soon(lambda one=one: public.spinner.begin(kept(one, public.log)))

@@ -14,14 +14,14 @@ from contextlib import suppress
 from typing import Any
 
 from authguard_r.client import AsyncGateClient
-from authguard_r.client.stream_handle import Steering
+from authguard_r.client.stream_handle import StreamHandle
 from authguard_r.core.action import Action
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.identifiers import Digest
 from authguard_r.integrations.ros.calls import DURATION, FORMS, call_of
 from authguard_r.integrations.ros.map import Mediated
 from authguard_r.integrations.ros.nodes.actions import Public
-from authguard_r.integrations.ros.nodes.inbox import Inbox
+from authguard_r.integrations.ros.nodes.inbox import ThreadInbox
 from authguard_r.integrations.ros.nodes.loop import kept
 from authguard_r.integrations.ros.nodes.proposals import code_of
 from authguard_r.integrations.ros.nodes.values import plain_of
@@ -40,7 +40,7 @@ _DEPTH = 10
 MOST_WAITING = 5
 
 
-class StreamInlet:
+class StreamServer:
     """Hears one topic of velocities.
 
     Args:
@@ -55,7 +55,9 @@ class StreamInlet:
         self._public, self._key, self._item, self._binder = public, key, item, binder
         self._loop = public.spinner.loop
         #: of more than wait for the gate, the oldest are dropped
-        self._came: Inbox[tuple[Any, bytes]] = Inbox(public.spinner, MOST_WAITING, is_newest=True)
+        self._came: ThreadInbox[tuple[Any, bytes]] = ThreadInbox(
+            public.spinner, MOST_WAITING, is_newest=True
+        )
         self._sender: bytes | None = None  # whose stream is open; None: nobody's
         self._heard_s = self._paused_s = self._told_s = self._loop.time() - PAUSE_S
         public.spinner.node.create_subscription(
@@ -110,7 +112,7 @@ class StreamInlet:
         steering: list[asyncio.Task[None]] = []
 
         def through(gate: AsyncGateClient, ticket: str) -> None:
-            stream = Steering(gate, Digest(ticket))
+            stream = StreamHandle(gate, Digest(ticket))
             steering.append(self._public.spinner.begin(self._steer(stream, first)))
 
         code = ""
@@ -128,7 +130,7 @@ class StreamInlet:
             self._paused_s = self._loop.time()
             self._public.log.say("refused", self._key, reason=code)
 
-    async def _steer(self, stream: Steering, first: dict[str, int]) -> None:
+    async def _steer(self, stream: StreamHandle, first: dict[str, int]) -> None:
         """Send on what comes, as long as something comes; then end the stream."""
         try:
             await stream.sample(first)  # so that its silence counts, too

@@ -21,9 +21,9 @@ from std_msgs.msg import String
 
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.reasons import Reason
-from authguard_r.integrations.ros.map import Proposals as Topics
+from authguard_r.integrations.ros.map import TextTopics as Topics
 from authguard_r.integrations.ros.nodes.actions import Public
-from authguard_r.integrations.ros.nodes.inbox import Inbox
+from authguard_r.integrations.ros.nodes.inbox import ThreadInbox
 from authguard_r.integrations.ros.nodes.proxies import fields_of
 from authguard_r.integrations.ros.nodes.releases import Release
 from authguard_r.integrations.ros.steps import decided, ended_by
@@ -43,14 +43,14 @@ _ORDERS = {b"\0\0": ">", b"\0\1": "<", b"\0\6": ">", b"\0\7": "<"}
 _TOOL = "a plan as text"
 
 
-class Heard(Struct, frozen=True):
+class ReceivedText(Struct, frozen=True):
     """A `String` as DDS brought it, untrusted, or the beginning of one that is too long."""
 
     data: bytes
     is_whole: bool
 
 
-class TextInlet:
+class TextPlanServer:
     """Hears plans, and tells what becomes of each.
 
     Args:
@@ -60,7 +60,9 @@ class TextInlet:
 
     def __init__(self, public: Public, topics: Topics) -> None:
         self.public = public
-        self._heard: Inbox[Heard] = Inbox(public.spinner, MOST_WAITING, is_newest=False)
+        self._heard: ThreadInbox[ReceivedText] = ThreadInbox(
+            public.spinner, MOST_WAITING, is_newest=False
+        )
         self._number = 0
         node = public.spinner.node
         self._told = node.create_publisher(
@@ -81,7 +83,7 @@ class TextInlet:
         while True:
             heard = await self._heard.take()
             self._number += 1
-            going = _Going(self, {"plan": id_of(heard), "number": self._number})
+            going = _OpenPlan(self, {"plan": id_of(heard), "number": self._number})
             self.public.spinner.begin(going.run(heard))
             shed = self._heard.shed()
             if shed:
@@ -95,10 +97,10 @@ class TextInlet:
     def _came(self, data: bytes) -> None:
         """Take a message on the thread of ROS; of one that is too long the beginning."""
         most = _HEAD + MAX_TEXT + 4  # a zero, and what fills up four bytes
-        self._heard.put(Heard(data[:most], len(data) <= most))
+        self._heard.put(ReceivedText(data[:most], len(data) <= most))
 
 
-class _Going:
+class _OpenPlan:
     """One plan, until it is over.
 
     Args:
@@ -106,13 +108,13 @@ class _Going:
         names: of the plan, in each message.
     """
 
-    def __init__(self, inlet: TextInlet, names: dict[str, Any]) -> None:
+    def __init__(self, inlet: TextPlanServer, names: dict[str, Any]) -> None:
         self._inlet, self._names = inlet, names
         self._open: dict[int, str] = {}  # the tickets of steps of which no end was told
         self._decided: set[int] = set()
         self._released: dict[int, Release] = {}
 
-    async def run(self, heard: Heard) -> None:
+    async def run(self, heard: ReceivedText) -> None:
         """Have it decided and carried out, and tell what becomes of it."""
         proposals = self._inlet.public.proposals
         try:
@@ -176,7 +178,7 @@ class _Going:
         self._inlet.tell({**self._names, "news": news, **more})
 
 
-def id_of(heard: Heard) -> str:
+def id_of(heard: ReceivedText) -> str:
     """Return the SHA-256 of a text, as its planner can work it out; of what is none, of its rest.
 
     Of one that is too long the beginning counts.
@@ -188,7 +190,7 @@ def id_of(heard: Heard) -> str:
     return hashlib.sha256(text).hexdigest()
 
 
-def text_of(heard: Heard) -> bytes:
+def text_of(heard: ReceivedText) -> bytes:
     """Return the bytes of a text as its planner wrote them.
 
     Raises:

@@ -27,7 +27,7 @@ from rosidl_parser.definition import (
 
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.core.reasons import Reason
-from authguard_r.integrations.ros.names import Part, part_of
+from authguard_r.integrations.ros.names import TypePart, part_of
 from authguard_r.integrations.ros.transforms import Quaternion, is_unit
 
 #: Most values of one message: more than any goal has, and soon refused.
@@ -40,7 +40,7 @@ _SINGLE = struct.Struct("<f")
 _TEXT = {_BYTE, "int8", "uint8", "char"}
 
 
-def load_type(name: str, part: Part) -> Any:
+def load_type(name: str, part: TypePart) -> Any:
     """Return the class of a type such as `std_srvs/srv/SetBool`, its type support loaded.
 
     Args:
@@ -64,7 +64,7 @@ def load_type(name: str, part: Part) -> Any:
     return found
 
 
-def require_narrow(kind: Any, part: Part, *, where: str) -> None:
+def require_narrow(kind: Any, part: TypePart, *, where: str) -> None:
     """Require that what planners send of a type has no wide string.
 
     The Python of ROS 2 ends on one whose units are no text, before anybody could refuse it.
@@ -72,7 +72,7 @@ def require_narrow(kind: Any, part: Part, *, where: str) -> None:
     Raises:
         MalformedError: it has one.
     """
-    asked = {Part.ACTION: "Goal", Part.SERVICE: "Request"}.get(part)
+    asked = {TypePart.ACTION: "Goal", TypePart.SERVICE: "Request"}.get(part)
     if any(_wide(kind if asked is None else getattr(kind, asked))):
         raise MalformedError("expected a type that planners send without `wstring`", where=where)
 
@@ -91,7 +91,7 @@ def plain_of(message: Any, *, where: str = "", is_asked: bool = False) -> dict[s
         MalformedError: a number that is none, or too much of everything; of what is asked for, a
             quaternion whose length is not 1.
     """
-    return _Reader(is_asked=is_asked).message(message, where)
+    return _MessageReader(is_asked=is_asked).message(message, where)
 
 
 def message_of(kind: Any, plain: Any, *, where: str = "") -> Any:
@@ -147,7 +147,7 @@ def _is_quaternion(kind: Any) -> bool:
     return bool(kind.__name__ == "Quaternion" and kind.__module__.startswith("geometry_msgs."))
 
 
-class _Reader:
+class _MessageReader:
     """Reads one message; counts what it has read."""
 
     def __init__(self, *, is_asked: bool) -> None:

@@ -16,7 +16,7 @@ from authguard_r.client.link import mono_ms
 from authguard_r.core.errors import ControllerError
 from authguard_r.core.standing import Outcome
 from authguard_r.integrations.ros.nodes.heartbeat import PERIOD_MS, TURN_MS, actuation_qos, steady
-from authguard_r.integrations.ros.nodes.proxies import STOP_S, Order, Robot
+from authguard_r.integrations.ros.nodes.proxies import STOP_S, DispatchOrder, RobotProxy
 from authguard_r.site.model import Profile, stopping_mm
 
 #: After its time a stream that was sampled is ended here, if the gate does not.
@@ -24,7 +24,7 @@ _SLACK_MS = 500
 _LOOK_S = 0.01
 
 
-class StreamOutlet:
+class StreamClientProxy:
     """Publishes velocities.
 
     Args:
@@ -34,14 +34,14 @@ class StreamOutlet:
         profile: says how the robot brakes.
     """
 
-    def __init__(self, robot: Robot, kind: Any, name: str, profile: Profile) -> None:
+    def __init__(self, robot: RobotProxy, kind: Any, name: str, profile: Profile) -> None:
         self.kind = kind
         self._robot = robot
         self._profile = profile
         self._zero = kind()
         self._message = self._zero
         self._speed_mm_s = 0  # the highest since it stood
-        self._order: Order | None = None
+        self._order: DispatchOrder | None = None
         self._ends_ms = 0
         self._is_sampled = self._is_closing = self._is_silent = False
         self._turn = threading.Lock()  # what was said before is not said again after zero
@@ -62,7 +62,7 @@ class StreamOutlet:
         """True while somebody hears it."""
         return bool(self._publisher.get_subscription_count() > 0)
 
-    def begin(self, order: Order) -> None:
+    def begin(self, order: DispatchOrder) -> None:
         """Take the order; `steer` says its first velocity."""
         self._order, self._is_sampled, self._is_closing = order, False, False
         self._ends_ms = mono_ms() + order.duration_ms
