@@ -4,7 +4,7 @@
 `PairKnowledge` and `RoundKnowledge` hold everything that there is to say of a pair and of a round.
 What a level sees is a list of fields, written here once; a field that no list names is seen by
 nobody. There is no field for keys, for tokens or for trusted state. Missions are shown without
-their nonces. Of a finding only the expected value is shown, because the found one may be trusted state.
+their nonces. Of a finding only the expected value is shown: the found one may be trusted state.
 Source: section "Adaptive Attacker Models". Spec page: docs/spec/missionpair-access.md
 """
 
