@@ -56,7 +56,9 @@ def main(arguments: list[str]) -> int:
 def setup() -> None:
     """Make .venv hold exactly what the lock file says, unless it does already."""
     stamp = ENV / "locked"
-    wanted = hashlib.sha256(LOCK.read_bytes() + (ROOT / "pyproject.toml").read_bytes()).hexdigest()
+    projects = [ROOT, ROOT / "packages" / "missionpair"]
+    parts = [LOCK, *(project / "pyproject.toml" for project in projects)]
+    wanted = hashlib.sha256(b"".join(path.read_bytes() for path in parts)).hexdigest()
     if stamp.is_file() and stamp.read_text() == wanted:
         return
     print("setting up .venv ...", file=sys.stderr)
@@ -71,8 +73,8 @@ def setup() -> None:
     python = ["--quiet", "--python", str(BIN / "python")]
     check([*uv, "sync", *python, "--require-hashes", str(LOCK)])
     # the build backend is a locked one, too
-    ours = ["--no-build-isolation", "--no-deps", "--editable", str(ROOT)]
-    check([*uv, "install", *python, *ours])
+    ours = [word for project in projects for word in ("--editable", str(project))]
+    check([*uv, "install", *python, "--no-build-isolation", "--no-deps", *ours])
     stamp.write_text(wanted)
 
 
@@ -127,7 +129,7 @@ def lock(arguments: list[str]) -> int:
     """Work out the lock files: every version, every hash, no host."""
     command = ["uv", "pip", "compile", "pyproject.toml"]
     how = ["--generate-hashes", "--universal", "--no-emit-index-url", "--no-header", "--quiet"]
-    names = ("drafting", "frost", "http", "langchain", "llm", "mcp", "openai-agents", "pkcs11")
+    names = ("drafting", "frost", "http", "langchain", "mcp", "openai-agents", "pkcs11")
     extras = [f"--extra={name}" for name in (*names, "pydantic-ai", "ros")]
     everything = [*extras, "--group", "dev", "--group", "bench"]
     first = run([*command, *everything, *how, "-o", LOCK.name, *arguments])

@@ -28,7 +28,7 @@ def describe(folder: Path) -> dict[str, Any]:
     return {
         "date": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
         "commit": _git("rev-parse", "HEAD"),
-        "changed_since_commit": bool(_git("status", "--porcelain", "--", "src")),
+        "changed_since_commit": bool(_git("status", "--porcelain", "--", "src", "packages")),
         "machine": {
             "cpu": _cpu(),
             "cores": os.cpu_count(),

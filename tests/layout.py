@@ -22,6 +22,8 @@ import grimp
 from budget import ROOT, code_lines
 
 SRC = ROOT / "src"
+#: Where the modules of each distribution are.
+ROOTS = (SRC, ROOT / "packages" / "missionpair" / "src")
 BOUNDS = ROOT / "tests" / "layout.toml"
 PACKAGES = ("authguard_r", "authguard_reference", "missionpair")
 #: What `authguard gate` and the stop process import before they serve.
@@ -64,7 +66,7 @@ def measures() -> dict[str, list[str]]:
 
 def sources() -> list[Path]:
     """Return every module of the three packages."""
-    return sorted(SRC.rglob("*.py"))
+    return sorted(path for root in ROOTS for path in root.rglob("*.py"))
 
 
 def loose_modules() -> list[str]:
@@ -118,7 +120,7 @@ def repeated_class_names() -> list[str]:
 def long_functions() -> list[str]:
     """Return the functions that are too long, each with its length."""
     return [
-        f"{path.relative_to(SRC)}:{node.name} {length}"
+        f"{path.relative_to(ROOT)}:{node.name} {length}"
         for path in sources()
         for node in ast.walk(_tree(path))
         if isinstance(node, _FUNCTIONS)
@@ -129,7 +131,7 @@ def long_functions() -> list[str]:
 def module_numbers(files: list[Path]) -> list[str]:
     """Return the numeric constants at module level."""
     return [
-        f"{path.relative_to(SRC)}:{name}"
+        f"{path.relative_to(ROOT)}:{name}"
         for path in files
         for node in _tree(path).body
         if (name := _number(node))
@@ -144,7 +146,7 @@ def unused_names() -> list[str]:
     """
     used = {name for path in sources() for name in _used(_tree(path))} | _documented()
     return [
-        f"{path.relative_to(SRC)}:{node.name}"
+        f"{path.relative_to(ROOT)}:{node.name}"
         for path in sources()
         for node in _tree(path).body
         if isinstance(node, (*_FUNCTIONS, ast.ClassDef))

@@ -25,7 +25,7 @@ RECIPES: dict[str, tuple[tuple[str, ...], ...]] = {
     # ros-mcp pins other versions than we do
     "ros-mcp": (("ros-mcp==3.1.2",),),
     # Inspect is heavy, and in no lock file
-    "inspect": (("--editable", ".[inspect,llm]", COVERAGE),),
+    "inspect": (("--editable", ".", "--editable", "packages/missionpair[inspect,llm]", COVERAGE),),
     # ROSA needs LangChain 0.3 and rclpy, and pins a PyYAML that is too old for us
     "rosa": (("jpl-rosa==1.0.10", *RCLPY), ("--editable", ".", COVERAGE)),
     # RAI is heavy, and needs rclpy

@@ -98,7 +98,9 @@ class Groups:
             found |= set() if owner is None else {owner.name}
             covering = {group.name for group in self.every if _fits(path, group.covers)}
             found |= covering
-            if _fits(path, self.shared) or (path.startswith("src/") and not covering):
+            if _fits(path, self.shared) or (
+                path.startswith(("src/", "packages/")) and not covering
+            ):
                 found |= set(self.names)
         return tuple(name for name in self.names if name in found)
 

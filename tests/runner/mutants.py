@@ -30,7 +30,12 @@ from runner.groups import ROOT, GroupError, read_groups
 
 FILE = ROOT / "tests" / "mutants.toml"
 #: Copied for each worker: what tests read.
-COPIED = ("src", "tests", "examples", "vectors", "docs", "benchmarks", "deploy", "ros2", ".ci")
+COPIED = (
+    *("src", "packages", "tests", "examples", "vectors", "docs", "benchmarks", "deploy", "ros2"),
+    ".ci",
+)
+#: Where the modules of both distributions are.
+ROOTS = ("src", "packages/missionpair/src")
 WORKERS = 2
 #: Tests of these groups drive processes in real time: two side by side can fail without a mutant.
 ALONE = frozenset({"processes", "ros", "soak"})
@@ -224,7 +229,11 @@ def _broken(copy: Path, mutant: Mutant) -> Iterator[None]:
 def _pytest(copy: Path, tests: list[str], *, limit_s: float) -> tuple[int | None, str]:
     """Run tests in a copy; return the exit code, or None when they do not end in time."""
     kept = {name: value for name, value in os.environ.items() if name != "PYTEST_ADDOPTS"}
-    env = {**kept, "PYTHONPATH": str(copy / "src"), "PYTHONDONTWRITEBYTECODE": "1"}
+    env = {
+        **kept,
+        "PYTHONPATH": os.pathsep.join(str(copy / root) for root in ROOTS),
+        "PYTHONDONTWRITEBYTECODE": "1",
+    }
     words = ["-q", "-x", "-p", "no:xdist", "-p", "no:cacheprovider", "--tb=line", *tests]
     process = subprocess.Popen(
         [str(BIN / "python"), "-m", "pytest", *words],
@@ -252,7 +261,7 @@ def _copy(root: Path, folder: Path) -> Path:
     for file in root.iterdir():
         if file.is_file() and not file.name.startswith(".coverage"):
             shutil.copy2(file, folder / file.name)
-    subprocess.run([str(BIN / "python"), "-m", "compileall", "-q", "src"], cwd=folder, check=True)
+    subprocess.run([str(BIN / "python"), "-m", "compileall", "-q", *ROOTS], cwd=folder, check=True)
     return folder
 
 

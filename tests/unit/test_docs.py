@@ -270,7 +270,7 @@ def test_every_relative_link_leads_to_a_file_and_a_heading() -> None:
 def test_every_page_that_the_code_names_is_there() -> None:
     found = [
         fault
-        for source in sorted((ROOT / "src").rglob("*.py"))
+        for source in sorted([*(ROOT / "src").rglob("*.py"), *(ROOT / "packages").rglob("*.py")])
         for target in NAMED.findall(source.read_text(encoding="utf-8"))
         for fault in [dangling(target, ROOT / "README.md")]
         if fault is not None

@@ -201,8 +201,14 @@ def test_every_test_reaches_code_of_its_row_and_all_code_is_reached() -> None:
     assert {row: names for row, names in found.items() if names} == {}
 
 
-SCORE, ITS_TEST = "src/missionpair/score.py", "tests/unit/missionpair/test_score.py"
-TABLES, GAME = "src/missionpair/report/paper.py", "tests/games/test_cross_robot_game.py"
+SCORE, ITS_TEST = (
+    "packages/missionpair/src/missionpair/score.py",
+    "tests/unit/missionpair/test_score.py",
+)
+TABLES, GAME = (
+    "packages/missionpair/src/missionpair/report/paper.py",
+    "tests/games/test_cross_robot_game.py",
+)
 
 
 @pytest.mark.parametrize(
@@ -241,7 +247,7 @@ def test_a_row_whose_tests_do_not_reach_its_code_would_be_seen(
         # as a command in this process, as one in another process, and as a program's text
         ("src/authguard_r/cli/demo.py", "tests/cli/test_cli.py"),
         ("src/authguard_r/server/process.py", "tests/integration/test_gate_watching.py"),
-        ("src/missionpair/tables.py", "tests/cli/test_missionpair.py"),
+        (f"{ATTACKS}/tables.py", "tests/cli/test_missionpair.py"),
     ],
 )
 def test_a_module_is_reached(module: str, test: str) -> None:

@@ -14,9 +14,9 @@ from typer.exceptions import TyperException
 
 from authguard_r.cli.app import program
 from authguard_r.cli.out import emit_clarification, emit_error, exit_code
-from authguard_r.cli.usage import message_of, place_of
 from authguard_r.core.errors import AuthGuardError, ClarificationError, EnvironmentFault
 from authguard_r.core.reasons import Reason
+from authguard_r.operations.usage import message_of, place_of
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -40,7 +40,8 @@ def test_every_test_file_has_a_group_and_every_path_exists() -> None:
 
 
 def test_a_change_of_any_source_file_concerns_a_group() -> None:
-    sources = [path.relative_to(ROOT).as_posix() for path in (ROOT / "src").rglob("*.py")]
+    roots = (ROOT / "src", ROOT / "packages")
+    sources = [p.relative_to(ROOT).as_posix() for root in roots for p in root.rglob("*.py")]
     covered = [place for group in GROUPS.every for place in group.covers]
     known = (*covered, *GROUPS.shared)
     assert [path for path in sources if not path.startswith(tuple(known))] == []

@@ -14,9 +14,9 @@ import msgspec
 import typer
 from typer.exceptions import TyperException
 
-from authguard_r.cli.usage import message_of, place_of
 from authguard_r.client import GateClient
 from authguard_r.keys.signer import folder_signer
+from authguard_r.operations.usage import message_of, place_of
 from authguard_r.wire.messages import ClientRole
 from missionpair.ablation import CHECKS, without
 from missionpair.approvers import Policy, Script, read_delay

@@ -34,7 +34,7 @@ _SENT = frozenset(
     {"accept", "anthropic-version", "authorization", "connection", "content-length"}
     | {"content-type", "host", "user-agent", "x-api-key"}
 )
-_EXTRA = "authguard-r[llm]"
+_EXTRA = "missionpair[llm]"
 
 
 class TooLargeError(Exception):
