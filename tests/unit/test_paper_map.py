@@ -201,14 +201,9 @@ def test_every_test_reaches_code_of_its_row_and_all_code_is_reached() -> None:
     assert {row: names for row, names in found.items() if names} == {}
 
 
-SCORE, ITS_TEST = (
-    "packages/missionpair/src/missionpair/score.py",
-    "tests/unit/missionpair/test_score.py",
-)
-TABLES, GAME = (
-    "packages/missionpair/src/missionpair/report/paper.py",
-    "tests/games/test_cross_robot_game.py",
-)
+ATTACKS = "packages/missionpair/src/missionpair"
+SCORE, ITS_TEST = f"{ATTACKS}/score.py", "tests/unit/missionpair/test_score.py"
+TABLES, GAME = f"{ATTACKS}/report/paper.py", "tests/games/test_cross_robot_game.py"
 
 
 @pytest.mark.parametrize(
