@@ -172,7 +172,7 @@ def test_every_statement_and_observation_has_a_row() -> None:
 
 def test_every_symbol_of_the_code_exists() -> None:
     assert [item for item in named(1) if absent(item)] == []
-    sources = [item for item in named(1) if item.startswith("src/")]
+    sources = [item for item in named(1) if item.startswith(("src/", "packages/"))]
     assert all("::" in item for item in sources)
 
 
