@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 import apsw
 
 from authguard_r.anchoring.checkpoints import CHECKPOINT, TREE, Checkpoints
-from authguard_r.anchoring.sealing import Reader
+from authguard_r.anchoring.sealing.policy import Reader
 from authguard_r.anchoring.witnesses import cosignature, exchange, request
 from authguard_r.audit.checkpoint import origin_of
 from authguard_r.audit.note import NoteKey, read_key

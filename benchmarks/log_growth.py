@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from authguard_r.anchoring.checkpoint_scheduler import CheckpointScheduler
-from authguard_r.anchoring.sealing import Reader, SealingPolicy
+from authguard_r.anchoring.sealing.policy import Reader, SealingPolicy
 from authguard_r.anchoring.sealing.stored_policy import hold_policy
 from authguard_r.audit.checkpoint import Checkpoint, origin_of, read_checkpoint
 from authguard_r.audit.parallel import usable_jobs, verify_in_pieces

@@ -23,7 +23,7 @@ from msgspec.structs import replace
 ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT / "tests")]
 
-from authguard_r.anchoring.sealing import KeyRing  # noqa: E402
+from authguard_r.anchoring.sealing.key_ring import KeyRing  # noqa: E402
 from authguard_r.anchoring.sealing.wraps import Wrapped, WrappedFor  # noqa: E402
 from authguard_r.audit.record import (  # noqa: E402
     BOX,

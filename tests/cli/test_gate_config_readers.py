@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from authguard_r.access.gate_config import GateConfig, open_gate_config
-from authguard_r.anchoring.sealing import Reader, Retention
+from authguard_r.anchoring.sealing.policy import Reader, Retention
 from authguard_r.cli import call
 from authguard_r.core.mission import DataClass
 from authguard_r.keys.readers import new_reader

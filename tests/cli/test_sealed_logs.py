@@ -21,7 +21,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from authguard_r.anchoring.sealing import Reader, SealingPolicy
+from authguard_r.anchoring.sealing.policy import Reader, SealingPolicy
 from authguard_r.anchoring.sealing.sealer import Sealer
 from authguard_r.audit.record import (
     BOX,

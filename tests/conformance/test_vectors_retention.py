@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from authguard_r.anchoring.sealing import SealingPolicy
+from authguard_r.anchoring.sealing.policy import SealingPolicy
 from authguard_r.audit.record import BOX
 from authguard_r.audit.verify import LogRow
 from authguard_r.core.encoding import Tag, digest_of

@@ -13,7 +13,12 @@ from typing import Annotated
 from msgspec import Meta, Struct
 
 from authguard_r.anchoring.places import WitnessPlace, require_place
-from authguard_r.anchoring.sealing import Reader, Retention, require_readers, require_retention
+from authguard_r.anchoring.sealing.policy import (
+    Reader,
+    Retention,
+    require_readers,
+    require_retention,
+)
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Count, Positive, RobotId

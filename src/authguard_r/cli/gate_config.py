@@ -26,7 +26,7 @@ from authguard_r.access.gate_config import (
     require_witnesses,
 )
 from authguard_r.anchoring.places import WitnessPlace
-from authguard_r.anchoring.sealing import Reader, require_readers, require_retention
+from authguard_r.anchoring.sealing.policy import Reader, require_readers, require_retention
 from authguard_r.authoring.compile.draft import Quantity
 from authguard_r.authoring.compile.units import to_integer
 from authguard_r.cli.gate_peers import everybody, mediators_of, peers_of, user_number

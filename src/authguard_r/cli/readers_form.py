@@ -14,7 +14,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from authguard_r.access.gate_config import GateConfig
-from authguard_r.anchoring.sealing import Reader, Retention
+from authguard_r.anchoring.sealing.policy import Reader, Retention
 from authguard_r.authoring.compile.draft import Quantity
 from authguard_r.authoring.compile.units import to_integer
 from authguard_r.core.errors import MalformedError

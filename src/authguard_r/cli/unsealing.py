@@ -15,7 +15,7 @@ import msgspec
 import typer
 from msgspec.structs import replace
 
-from authguard_r.anchoring.sealing import KeyRing
+from authguard_r.anchoring.sealing.key_ring import KeyRing
 from authguard_r.anchoring.sealing.wraps import Wrapped
 from authguard_r.audit.closed import Closed, closed_of
 from authguard_r.audit.record import BOX, WRAP, Record, Sealed, read_record, read_sealed

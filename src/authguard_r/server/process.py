@@ -25,7 +25,7 @@ from msgspec import Struct
 
 from authguard_r.access.gate_config import GateConfig
 from authguard_r.anchoring.rotation import Rotation
-from authguard_r.anchoring.sealing import SealingPolicy
+from authguard_r.anchoring.sealing.policy import SealingPolicy
 from authguard_r.anchoring.sealing.stored_policy import hold_policy
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.identifiers import RobotId

@@ -18,7 +18,7 @@ from msgspec.structs import replace
 from authguard_r.anchoring.anchor import CounterReading, StoreAnchor, read_counter
 from authguard_r.anchoring.checkpoint_scheduler import CheckpointPolicy, CheckpointScheduler
 from authguard_r.anchoring.counter import Counter
-from authguard_r.anchoring.sealing import SealingPolicy
+from authguard_r.anchoring.sealing.policy import SealingPolicy
 from authguard_r.anchoring.sealing.sealer import sealer_of
 from authguard_r.audit.record import Terminal, read_record
 from authguard_r.core.encoding import Tag, b64

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from authguard_r.anchoring.sealing import SealingPolicy
+from authguard_r.anchoring.sealing.policy import SealingPolicy
 from authguard_r.anchoring.sealing.stored_policy import due_missions, retention_of
 from authguard_r.audit.verify import LogRow
 from authguard_r.core.errors import AuthGuardError

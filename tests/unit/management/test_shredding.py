@@ -13,7 +13,7 @@ import apsw
 import pytest
 from msgspec.structs import replace
 
-from authguard_r.anchoring.sealing import SealingPolicy
+from authguard_r.anchoring.sealing.policy import SealingPolicy
 from authguard_r.anchoring.sealing.stored_policy import HELD, due_missions
 from authguard_r.anchoring.sealing.stored_policy import expiry_ms as expiry_of
 from authguard_r.audit.record import BOX, WRAP, Entry, append

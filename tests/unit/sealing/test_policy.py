@@ -9,7 +9,12 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from authguard_r.anchoring.sealing import Reader, Retention, require_readers, require_retention
+from authguard_r.anchoring.sealing.policy import (
+    Reader,
+    Retention,
+    require_readers,
+    require_retention,
+)
 from authguard_r.core.encoding import b64
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.mission import DataClass

@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from authguard_r.anchoring.sealing import KeyRing, SealingPolicy
+from authguard_r.anchoring.sealing.key_ring import KeyRing
+from authguard_r.anchoring.sealing.policy import SealingPolicy
 from authguard_r.anchoring.sealing.sealer import Sealer
 from authguard_r.anchoring.sealing.stored_policy import HELD, hold_policy, newest_keys, policy_of
 from authguard_r.audit.record import BOX, WRAP, Entry, Sealed, append, read_sealed

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import TypeVar
 
-from authguard_r.anchoring.sealing import SealingPolicy
+from authguard_r.anchoring.sealing.policy import SealingPolicy
 from authguard_r.anchoring.sealing.stored_policy import due_missions
 from authguard_r.approvals.organization import VerifiedPolicy
 from authguard_r.core.approval import VerifiedApproval

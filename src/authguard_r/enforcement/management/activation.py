@@ -10,7 +10,7 @@ from contextlib import suppress
 
 from msgspec import Struct
 
-from authguard_r.anchoring.sealing import SealingPolicy
+from authguard_r.anchoring.sealing.policy import SealingPolicy
 from authguard_r.anchoring.sealing.stored_policy import drop_last, hold_expiry, hold_retention
 from authguard_r.core.checks.mission import binding_findings
 from authguard_r.core.checks.provenance import wider_sources
