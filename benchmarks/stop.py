@@ -28,8 +28,8 @@ from authguard_r.core.encoding import Tag
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.token import sign_object
 from authguard_r.estop.connection import start_lane
+from authguard_r.estop.files import EStopFiles
 from authguard_r.estop.run_folder import SOCKET
-from authguard_r.estop.startup import EStopFiles
 from authguard_r.keys.signer import folder_signer
 from authguard_r.sim.example import bundled_hospital
 from authguard_r.site.source import read_site

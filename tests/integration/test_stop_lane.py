@@ -18,8 +18,8 @@ import pytest
 
 from authguard_r.access.gate_config import Peer as Named
 from authguard_r.client.blocking import GateClient
+from authguard_r.estop.files import EStopFiles
 from authguard_r.estop.run_folder import EPOCH, FIRST_SPOOL, PID, SOCKET, SPOOL, is_served
-from authguard_r.estop.startup import EStopFiles
 from authguard_r.estop.stop_queue import WINDOW
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.frames import frame

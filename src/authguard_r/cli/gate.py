@@ -32,17 +32,15 @@ from authguard_r.core.identifiers import RobotId
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.enforcement.emergency.opened import open_emergency
-from authguard_r.estop.startup import EStopFiles
+from authguard_r.estop.files import EStopFiles
 from authguard_r.keys.clock_floor import boot_ms, token_ms
-from authguard_r.keys.signer import FileSigner, read_signer
+from authguard_r.keys.signer import FileSigner, folder_signer, read_signer
 from authguard_r.keys.trust import Trust, read_file, read_trust
 from authguard_r.normalize.shipped import shipped_interface
 from authguard_r.operations.checkup import GateSetup, require_safe
 from authguard_r.safety import SafetyConfig, default_config, open_config
-from authguard_r.server.parts import EmergencyParts, GateParts
+from authguard_r.server.parts import EmergencyParts, GateParts, SimulatedRobot
 from authguard_r.server.process import Rendezvous, run_gate
-from authguard_r.sim.robot import SymbolicRobot
-from authguard_r.sim.world import initial_state
 from authguard_r.site.model import Site
 from authguard_r.store.clocks import committed_ms
 
@@ -212,8 +210,9 @@ def _emergency(
     return EmergencyParts(policy=opened, journal=journal)
 
 
-def _symbolic(trust: Path, site: Site, rid: RobotId) -> SymbolicRobot:
-    from authguard_r.keys.signer import folder_signer
+def _symbolic(trust: Path, site: Site, rid: RobotId) -> SimulatedRobot:
+    from authguard_r.sim.robot import SymbolicRobot
+    from authguard_r.sim.world import initial_state
 
     now = wall_now(None).utc_ms
     return SymbolicRobot(

@@ -27,7 +27,8 @@ def stop_lane_command(
 
     Trust, key and configuration are read once: a change of them takes a new lane.
     """
-    from authguard_r.estop.startup import EStopFiles, EStopReady, run_lane
+    from authguard_r.estop.files import EStopFiles
+    from authguard_r.estop.startup import EStopReady, run_lane
 
     def say(ready: EStopReady) -> None:
         line = f"{ready.socket}: stops are served for {ready.robot} (pid {ready.pid})"

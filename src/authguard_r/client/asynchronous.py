@@ -20,7 +20,7 @@ from authguard_r.client.approvals import asking, read_questions, signed_answer, 
 from authguard_r.client.handshake import GateVerifier, Greeting, Speaks
 from authguard_r.client.line import SessionLine
 from authguard_r.client.session import OnEvent, SentRequest, answer_of, done_of, unreachable
-from authguard_r.client.start import TIMEOUT_MS, begin, fresh, late, reach, unanswered
+from authguard_r.client.start import TIMEOUT_MS, begin, fresh, late, unanswered
 from authguard_r.client.stopping import stop_of, stopped_of
 from authguard_r.core.approval import ApprovalVerdict
 from authguard_r.core.identifiers import RobotId
@@ -43,6 +43,7 @@ from authguard_r.wire.messages import (
     Stopped,
     Welcome,
 )
+from authguard_r.wire.sockets import reach
 
 
 class AsyncGateClient:

@@ -18,7 +18,7 @@ from authguard_r.client.approvals import asking, read_questions, signed_answer, 
 from authguard_r.client.blocking_stop import OwnLine, stop_now
 from authguard_r.client.handshake import GateVerifier, Greeting
 from authguard_r.client.session import ClientSession, SentRequest, answer_of, done_of, unreachable
-from authguard_r.client.start import AGAIN_S, CHUNK, TIMEOUT_MS, begin, fresh, late, unanswered
+from authguard_r.client.start import CHUNK, TIMEOUT_MS, begin, fresh, late, unanswered
 from authguard_r.core.approval import ApprovalVerdict
 from authguard_r.core.errors import RefusedError
 from authguard_r.core.identifiers import Digest, RobotId
@@ -43,6 +43,7 @@ from authguard_r.wire.messages import (
     Sample,
     Welcome,
 )
+from authguard_r.wire.sockets import AGAIN_S
 
 
 class GateClient:

@@ -6,9 +6,7 @@ Spec page: docs/spec/gate-protocol.md#connections
 
 from __future__ import annotations
 
-import asyncio
 import os
-import socket
 from pathlib import Path
 from time import time_ns
 
@@ -22,8 +20,6 @@ from authguard_r.core.quantities import Now
 TIMEOUT_MS = 10_000
 #: Bytes that are read at once.
 CHUNK = 1 << 16
-#: A socket whose queue is full is tried again after this long, in seconds.
-AGAIN_S = 0.005
 #: What to do where nobody could be reached.
 _MENDS: dict[type[Exception], str] = {
     FileNotFoundError: "start one, or name the run folder of one that serves",
@@ -53,25 +49,6 @@ def unanswered(error: OSError | ValueError, path: Path) -> EnvironmentFault:
     why = getattr(error, "strerror", None) or str(error) or "its queue is full"
     mend = _MENDS.get(type(error), "look at the path")
     return unreachable(f"no gate answers: {why}; {mend}", str(path))
-
-
-async def reach(wire: socket.socket, path: Path) -> None:
-    """Connect to a Unix socket; one whose queue is full is tried again, until canceled.
-
-    The event loop's own way takes a full queue for a connection.
-
-    Raises:
-        OSError: nobody listens there.
-        ValueError: the path cannot be a socket's.
-    """
-    wire.settimeout(0)
-    while True:
-        try:
-            wire.connect(str(path))
-        except BlockingIOError:
-            await asyncio.sleep(AGAIN_S)
-        else:
-            return
 
 
 def _wall() -> Now:

@@ -23,7 +23,7 @@ from msgspec.structs import replace
 from authguard_r.client.handshake import GateVerifier, Greeting
 from authguard_r.client.line import SessionLine
 from authguard_r.client.session import ClientSession, answer_of, unreachable
-from authguard_r.client.start import begin, fresh, late, reach, unanswered
+from authguard_r.client.start import begin, fresh, late, unanswered
 from authguard_r.core.errors import (
     AuthenticityError,
     AuthGuardError,
@@ -33,6 +33,7 @@ from authguard_r.core.errors import (
 from authguard_r.core.identifiers import Identifier, RobotId
 from authguard_r.core.reasons import Reason
 from authguard_r.wire.messages import MAX_WHY, ClientRole, Kind, Stop, Stopped
+from authguard_r.wire.sockets import reach
 
 #: A part that cannot be reached is tried again after this long, in seconds.
 AGAIN_S = 0.1

@@ -20,7 +20,6 @@ from typing import IO, cast
 import msgspec
 
 from authguard_r.access.peers import peer_of
-from authguard_r.client.start import reach
 from authguard_r.core.errors import (
     AuthenticityError,
     AuthGuardError,
@@ -28,9 +27,8 @@ from authguard_r.core.errors import (
     MalformedError,
 )
 from authguard_r.core.reasons import Reason
-from authguard_r.estop.main import ask
+from authguard_r.estop.files import EStopFiles, ask
 from authguard_r.estop.run_folder import SOCKET, is_served
-from authguard_r.estop.startup import EStopFiles
 from authguard_r.wire.faults import from_fault
 from authguard_r.wire.frames import Frame, FrameReader, frame, read_body
 from authguard_r.wire.messages import (
@@ -44,6 +42,7 @@ from authguard_r.wire.messages import (
     StopHeard,
     Welcome,
 )
+from authguard_r.wire.sockets import reach
 
 #: A lane that is started serves within this time, in seconds.
 START_S = 60

@@ -13,26 +13,8 @@ from pathlib import Path
 import msgspec
 
 from authguard_r.core.errors import AuthGuardError
-from authguard_r.core.identifiers import RobotId
-from authguard_r.estop.startup import EStopFiles, EStopReady, run_lane
-
-
-class StartArguments(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """`EStopFiles` as one argument can hold it."""
-
-    run: str
-    robot: RobotId
-    trust: str
-    key: str
-    cert: str
-    config: str
-
-
-def ask(files: EStopFiles) -> str:
-    """Return the argument that stands for these files."""
-    names = ("run", "trust", "key", "cert", "config")
-    paths = {name: str(getattr(files, name).absolute()) for name in names}
-    return msgspec.json.encode(StartArguments(robot=files.robot, **paths)).decode()
+from authguard_r.estop.files import EStopFiles, StartArguments
+from authguard_r.estop.startup import EStopReady, run_lane
 
 
 def main(arguments: list[str]) -> int:

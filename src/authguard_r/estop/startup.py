@@ -15,8 +15,6 @@ import select
 import signal
 import socket
 from collections.abc import Callable, Iterator
-from hashlib import sha256
-from pathlib import Path
 from time import time_ns
 from types import FrameType
 
@@ -27,39 +25,16 @@ from authguard_r.core.errors import AuthenticityError
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
+from authguard_r.estop.files import CONFIG, EStopFiles, config_digest
 from authguard_r.estop.run_folder import SOCKET, leave_place, take_place
 from authguard_r.estop.server import EStopServer
 from authguard_r.keys.clock_floor import boot_ms, chain_ms, token_ms
 from authguard_r.keys.signer import FileSigner, read_signer
 from authguard_r.keys.trust import read_file, read_trust
 
-#: Says which configuration the lane that serves has read, in the run folder.
-CONFIG = "stop-lane.config"
 #: `mlockall(2)`: what is in memory stays there.
 _MCL_CURRENT = 1
 _NICE = -10
-#: Grows with what a lane understands: one of before is known by it, too, and ended.
-_UNDERSTOOD = b"2"
-
-
-class EStopFiles(Struct, frozen=True, kw_only=True):
-    """What a lane is started with.
-
-    Args:
-        run: the run folder; the gate's user owns it.
-        robot: whose lane it is.
-        trust: the trust folder.
-        key: the gate's own key.
-        cert: its certificate and its authority's.
-        config: the signed gate configuration.
-    """
-
-    run: Path
-    robot: RobotId
-    trust: Path
-    key: Path
-    cert: Path
-    config: Path
 
 
 class EStopReady(Struct, frozen=True, kw_only=True):
@@ -169,15 +144,6 @@ def run_lane(
         waking.close()
         (files.run / CONFIG).unlink(missing_ok=True)
         leave_place(place)
-
-
-def config_digest(files: EStopFiles) -> str:
-    """Return the SHA-256 of the configuration that a lane read: an older one is known by it.
-
-    Raises:
-        EnvironmentFault: the configuration cannot be read.
-    """
-    return sha256(read_file(files.config) + _UNDERSTOOD).hexdigest()
 
 
 def say_to_stderr(line: bytes) -> None:

@@ -12,10 +12,8 @@ from itertools import islice
 
 from msgspec.structs import replace
 
-from authguard_r.wire.messages import ClientRole, StopHeard
+from authguard_r.wire.messages import SUSPENDING, ClientRole, StopHeard
 
-#: Roles whose stop suspends the mission.
-SUSPENDING = frozenset({ClientRole.OPERATOR})
 #: Most of the other roles' stops that are kept one by one, and that are sent ahead of the answer.
 WINDOW = 32
 #: Most suspending stops that are kept one by one; what comes beyond is counted with the last.

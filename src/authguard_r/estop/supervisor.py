@@ -18,8 +18,8 @@ from typing import Protocol
 
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.estop.connection import EStopConnection, start_lane
+from authguard_r.estop.files import CONFIG, EStopFiles, config_digest
 from authguard_r.estop.run_folder import SOCKET, end_lane, is_of_gate, is_served, kill
-from authguard_r.estop.startup import CONFIG, EStopFiles, config_digest
 from authguard_r.wire.messages import StopHeard
 
 #: A lane that is gone is looked for this often, in seconds.

@@ -4,20 +4,27 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any, Protocol
 
 from msgspec import Struct
 
 from authguard_r.access.gate_config import GateConfig
 from authguard_r.anchoring.counter import Counter
 from authguard_r.approvals.organization import VerifiedPolicy
+from authguard_r.core.ports import Clock, Controller, StateSource
 from authguard_r.enforcement.emergency.opened import OpenedPolicy
-from authguard_r.estop.startup import EStopFiles
+from authguard_r.estop.files import EStopFiles
 from authguard_r.keys.signer import FileSigner
 from authguard_r.keys.trust import Trust
 from authguard_r.normalize.binding import Binding
 from authguard_r.safety import SafetyConfig
-from authguard_r.sim.robot import SymbolicRobot
 from authguard_r.site.model import Site
+
+
+class SimulatedRobot(Controller, StateSource, Clock, Protocol):
+    """A robot in the gate's own process: controller, estimator and clock in one."""
+
+    trace: list[Any]
 
 
 class EmergencyParts(Struct, frozen=True, kw_only=True):
@@ -61,7 +68,7 @@ class GateParts(Struct, frozen=True, kw_only=True):
     journal: int
     demo: bool
     key: Path | None = None
-    simulated: SymbolicRobot | None = None
+    simulated: SimulatedRobot | None = None
     risk: VerifiedPolicy | None = None
     counter: Counter | None = None
     emergency: EmergencyParts | None = None

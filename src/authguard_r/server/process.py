@@ -40,7 +40,7 @@ from authguard_r.server.configurations import hold_configured
 from authguard_r.server.emergency_wiring import open_journal, open_road
 from authguard_r.server.event_log import EventLog
 from authguard_r.server.log_maintenance import notary_policy, rotation_policy
-from authguard_r.server.parts import GateParts
+from authguard_r.server.parts import GateParts, SimulatedRobot
 from authguard_r.server.periodic import every
 from authguard_r.server.plan_reader import PlanReader
 from authguard_r.server.recovery import Recovery
@@ -50,7 +50,6 @@ from authguard_r.server.service import Service
 from authguard_r.server.state_inbox import StateInbox
 from authguard_r.server.streams import Streams
 from authguard_r.server.wiring import Gate, assemble
-from authguard_r.sim.robot import SymbolicRobot
 from authguard_r.site.model import stopping_mm
 from authguard_r.store.clocks import SIMULATED, SystemClock
 from authguard_r.store.refusals import RefusalPolicy
@@ -256,7 +255,7 @@ class _Pace:
     one that is ahead, for it has moved, goes on as fast as time does, however often it is asked.
     """
 
-    def __init__(self, robot: SymbolicRobot) -> None:
+    def __init__(self, robot: SimulatedRobot) -> None:
         self._robot, self._clock = robot, SystemClock()
         self._asked_ms = self._clock.mono_ms()
 

@@ -16,14 +16,13 @@ from msgspec.structs import replace
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import Identifier
 from authguard_r.enforcement.enforcer import Enforcer
-from authguard_r.estop.stop_queue import SUSPENDING
 from authguard_r.server.event_bus import EventBus
 from authguard_r.server.fair_queue import ServedClient
 from authguard_r.server.lease_registry import LeaseRegistry
 from authguard_r.server.liveness import Liveness
 from authguard_r.server.queries import GateQueries
 from authguard_r.server.remote_controller import RemoteController
-from authguard_r.wire.messages import ClientRole, Stop, StopHeard
+from authguard_r.wire.messages import SUSPENDING, ClientRole, Stop, StopHeard
 
 #: Stops of the lane that are known when they come again: it forgets what it was told of.
 _KNOWN = 4_096

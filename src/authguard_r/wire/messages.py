@@ -52,6 +52,10 @@ class ClientRole(StrEnum):
     GATE = "gate"
 
 
+#: Roles whose stop suspends the mission.
+SUSPENDING = frozenset({ClientRole.OPERATOR})
+
+
 class Mode(StrEnum):
     """Whether the gate holds the controller, or only says what it would have done."""
 

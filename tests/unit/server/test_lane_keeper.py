@@ -21,8 +21,8 @@ from authguard_r.core.token import sign_object
 from authguard_r.estop import run_folder as lane_place
 from authguard_r.estop import supervisor as lane_keeper
 from authguard_r.estop.connection import EStopConnection
+from authguard_r.estop.files import EStopFiles
 from authguard_r.estop.run_folder import PID, SOCKET
-from authguard_r.estop.startup import EStopFiles
 from authguard_r.estop.supervisor import EStopSupervisor
 from authguard_r.keys.signer import folder_signer
 from authguard_r.wire.messages import ClientRole, StopHeard

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.estop.connection import _ready, start_lane
-from authguard_r.estop.startup import EStopFiles
+from authguard_r.estop.files import EStopFiles
 from fixtures import estop_fixtures
 
 

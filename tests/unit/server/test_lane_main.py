@@ -12,7 +12,7 @@ import sys
 from coverage import Coverage
 
 from authguard_r.estop.connection import _MAIN
-from authguard_r.estop.main import ask
+from authguard_r.estop.files import ask
 from fixtures import estop_fixtures, scenarios
 
 

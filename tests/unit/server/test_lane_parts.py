@@ -52,10 +52,10 @@ from authguard_r.estop.startup import (
     run_lane,
     say_to_stderr,
 )
-from authguard_r.estop.stop_queue import BATCH, SUSPENDING
+from authguard_r.estop.stop_queue import BATCH
 from authguard_r.keys.signer import folder_signer
 from authguard_r.wire.frames import frame
-from authguard_r.wire.messages import PROTOCOL, ClientRole, Kind, StopHeard
+from authguard_r.wire.messages import PROTOCOL, SUSPENDING, ClientRole, Kind, StopHeard
 from fixtures import estop_fixtures, scenarios
 
 FULL = "/dev/full"

@@ -23,7 +23,7 @@ from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.quantities import Now
 from authguard_r.core.token import sign_object
-from authguard_r.estop.startup import EStopFiles
+from authguard_r.estop.files import EStopFiles
 from authguard_r.keys.signer import folder_signer, gate_name
 from authguard_r.keys.trust import read_trust
 from authguard_r.safety import default_config as default_safety

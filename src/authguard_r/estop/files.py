@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The files that a stop process is started with, and how the gate hands their paths over.
+
+Spec page: docs/spec/gate-protocol.md#stop-lane
+"""
+
+from __future__ import annotations
+
+from hashlib import sha256
+from pathlib import Path
+
+import msgspec
+from msgspec import Struct
+
+from authguard_r.core.identifiers import RobotId
+from authguard_r.keys.trust import read_file
+
+#: Names the configuration that the serving stop process has read; in the run folder.
+CONFIG = "stop-lane.config"
+#: Grows with what a stop process understands: the gate ends an older one.
+_UNDERSTOOD = b"2"
+
+
+class EStopFiles(Struct, frozen=True, kw_only=True):
+    """What a lane is started with.
+
+    Args:
+        run: the run folder; the gate's user owns it.
+        robot: whose lane it is.
+        trust: the trust folder.
+        key: the gate's own key.
+        cert: its certificate and its authority's.
+        config: the signed gate configuration.
+    """
+
+    run: Path
+    robot: RobotId
+    trust: Path
+    key: Path
+    cert: Path
+    config: Path
+
+
+class StartArguments(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """`EStopFiles` as one argument can hold it."""
+
+    run: str
+    robot: RobotId
+    trust: str
+    key: str
+    cert: str
+    config: str
+
+
+def ask(files: EStopFiles) -> str:
+    """Return the argument that stands for these files."""
+    names = ("run", "trust", "key", "cert", "config")
+    paths = {name: str(getattr(files, name).absolute()) for name in names}
+    return msgspec.json.encode(StartArguments(robot=files.robot, **paths)).decode()
+
+
+def config_digest(files: EStopFiles) -> str:
+    """Return the SHA-256 of the configuration that a lane read: an older one is known by it.
+
+    Raises:
+        EnvironmentFault: the configuration cannot be read.
+    """
+    return sha256(read_file(files.config) + _UNDERSTOOD).hexdigest()
