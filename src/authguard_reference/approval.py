@@ -294,11 +294,9 @@ def step_7(
         in for the approvals, or None.
     """
     policies = policies_of(mission, facts)
-    wanted = []
-    for policy in policies:
-        score = rho(policy, action, state, facts, now)
-        level = tier_of(policy, score)
-        wanted.append((required_of(policy, level), level, score))
+    scores = [(policy, rho(policy, action, state, facts, now)) for policy in policies]
+    levels = [(policy, tier_of(policy, score), score) for policy, score in scores]
+    wanted = [(required_of(policy, level), level, score) for policy, level, score in levels]
     required, tier, risk = max(wanted)  # the strictest
     expected = binding_of(mission, digest, grant, action, robot=facts["robot"])
     expected["situation"] = situation_of(mission, grant, tier, state=state, facts=facts, now=now)
@@ -320,8 +318,8 @@ def step_7(
     if finding not in ("", "APPROVAL_DENIED") and tier == 2 and not is_denied:
         seen: Json = {"policies": policies, "action": action, "now": now, "standing": standing}
         seen |= {"issuer": issuer or {"id": mission["issuer"]}, "robot": facts["robot"]}
+        seen |= {"risk": risk, "required": required}
         for item in preapprovals:
-            held: Json = {"item": item, "risk": risk, "required": required, **seen}
-            if is_covered(mission, digest, grant, row, **held):
+            if is_covered(mission, digest, grant, row, item=item, **seen):
                 return [], required, risk, item["digest"]
     return ([finding] if finding != "" else []), required, risk, None

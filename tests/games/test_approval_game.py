@@ -865,7 +865,10 @@ CONTROLS: dict[str, tuple[Callable[[], tuple[Any, ...]], str]] = {
     "the issuer's key, one name": (lambda: (any_name(),), "the_issuer_has_a_second_name"),
     "an approver's key, one name": (lambda: (any_name(),), "an_approver_has_a_second_name"),
     "a denial": (
-        lambda: (patch.object(check, "Verdict", SimpleNamespace(DENY=None)), never_closing()),
+        lambda: (
+            patch.object(check, "ApprovalVerdict", SimpleNamespace(DENY=None)),
+            never_closing(),
+        ),
         "past_a_denial",
     ),
     "a denial, once it came in": (

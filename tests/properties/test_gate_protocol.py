@@ -159,9 +159,9 @@ class Protocol(RuleBasedStateMachine):
         for name, kind, number in self.runner.run(work()):
             guest = by_name[name]
             assert guest.waiting.pop(0) == (kind, number), "out of order"
+            guest.read()  # room is made before the answer: what is shed then is refused first
             if kind is not Kind.PROPOSE:
                 guest.expected.append((Kind.REPLY, number))
-            guest.read()
 
     @rule(guest=guests)
     def finish(self, guest: Guest) -> None:

@@ -157,6 +157,3 @@ def _require_tree(turn: Turn, rows: tuple[Cells, ...]) -> None:
     if block_root([link for *_, link in rows]) != StoredNodes(turn).node(8, first // BLOCK):
         text = f"records {first} to {rows[-1][0]} are not those of the tree"
         raise StoreError(text, where="store.audit", reason=Reason.STORE_CORRUPT)
-
-
-__all__ = ["AGAIN_MS", "BLOCK", "KEPT", "STUCK", "Rotation", "RotationPolicy"]

@@ -52,6 +52,11 @@ class _Lying:
         """Return the binding that a person stands behind, else the one that refuses everything."""
         return self.at(given, "mine.yaml") or self.at(given, "binding.yaml")
 
+    def interfaces(self) -> list[str] | None:
+        """Return the folder's description of the tools, None when there is none."""
+        listed = self.at(None, "interface.yaml")
+        return None if listed is None else [str(listed)]
+
     def gate(self, ending: str) -> str:
         """Return the name of the gate's key or certificate, empty unless there is just one."""
         pattern = f"trust/keys/gate-*.{ending}"
@@ -59,59 +64,72 @@ class _Lying:
         return str(found[0].relative_to(self._folder)) if self._folder and len(found) == 1 else ""
 
 
+_FolderArgument = Annotated[
+    Path | None,
+    typer.Argument(help="A folder as `init` fills it: its parts, where no option names one."),
+]
+_TrustOption = Annotated[Path | None, typer.Option("--trust", help="A trust folder to look at.")]
+_StoreOption = Annotated[Path | None, typer.Option("--store", help="A store to look at.")]
+_SiteOption = Annotated[Path | None, typer.Option("--site", help="The site model.")]
+_BindingOption = Annotated[
+    Path | None, typer.Option("--binding", help="The planner's tools; needs --site.")
+]
+_InterfaceOption = Annotated[
+    list[str] | None,
+    typer.Option("--interface", help="What the tools say of themselves; may be repeated."),
+]
+_ConfigOption = Annotated[
+    Path | None, typer.Option("--config", help="The gate's configuration; needs --trust.")
+]
+_RiskPolicyOption = Annotated[
+    Path | None,
+    typer.Option("--risk-policy", help="The organization's signed policy; needs --trust."),
+]
+_EmergencyOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--emergency-policy", help="The signed emergency policy; needs --trust and --site."
+    ),
+]
+_KeyOption = Annotated[
+    Path | None, typer.Option("--key", help="A private key, the gate's or one's own.")
+]
+_CertOption = Annotated[Path | None, typer.Option("--cert", help="The key's certificates.")]
+_RunOption = Annotated[Path | None, typer.Option("--run", help="The folder of the gate's sockets.")]
+_CounterOption = Annotated[
+    Path | None, typer.Option("--counter", help="The outside counter's file.")
+]
+_UserOption = Annotated[
+    str | None, typer.Option("--user", help="Who runs the gate (default: you).")
+]
+_RosMapOption = Annotated[Path | None, typer.Option("--ros", help="The map of a robot on ROS 2.")]
+_KeystoreOption = Annotated[
+    Path | None, typer.Option("--keystore", help="Its whole keystore; needs --ros.")
+]
+_EnclaveOption = Annotated[
+    str | None,
+    typer.Option("--enclave", help="Whose process this shell would start; needs --ros."),
+]
+
+
 def doctor(
-    folder: Annotated[
-        Path | None,
-        typer.Argument(help="A folder as `init` fills it: its parts, where no option names one."),
-    ] = None,
-    trust: Annotated[
-        Path | None, typer.Option("--trust", help="A trust folder to look at.")
-    ] = None,
-    store: Annotated[Path | None, typer.Option("--store", help="A store to look at.")] = None,
-    site: Annotated[Path | None, typer.Option("--site", help="The site model.")] = None,
-    binding: Annotated[
-        Path | None, typer.Option("--binding", help="The planner's tools; needs --site.")
-    ] = None,
-    interface: Annotated[
-        list[str] | None,
-        typer.Option("--interface", help="What the tools say of themselves; may be repeated."),
-    ] = None,
-    config: Annotated[
-        Path | None, typer.Option("--config", help="The gate's configuration; needs --trust.")
-    ] = None,
-    risk_policy: Annotated[
-        Path | None,
-        typer.Option("--risk-policy", help="The organization's signed policy; needs --trust."),
-    ] = None,
-    emergency: Annotated[
-        Path | None,
-        typer.Option(
-            "--emergency-policy", help="The signed emergency policy; needs --trust and --site."
-        ),
-    ] = None,
-    key: Annotated[
-        Path | None, typer.Option("--key", help="A private key, the gate's or one's own.")
-    ] = None,
-    cert: Annotated[Path | None, typer.Option("--cert", help="The key's certificates.")] = None,
-    run: Annotated[
-        Path | None, typer.Option("--run", help="The folder of the gate's sockets.")
-    ] = None,
-    counter: Annotated[
-        Path | None, typer.Option("--counter", help="The outside counter's file.")
-    ] = None,
-    user: Annotated[
-        str | None, typer.Option("--user", help="Who runs the gate (default: you).")
-    ] = None,
-    ros_map: Annotated[
-        Path | None, typer.Option("--ros", help="The map of a robot on ROS 2.")
-    ] = None,
-    keystore: Annotated[
-        Path | None, typer.Option("--keystore", help="Its whole keystore; needs --ros.")
-    ] = None,
-    enclave: Annotated[
-        str | None,
-        typer.Option("--enclave", help="Whose process this shell would start; needs --ros."),
-    ] = None,
+    folder: _FolderArgument = None,
+    trust: _TrustOption = None,
+    store: _StoreOption = None,
+    site: _SiteOption = None,
+    binding: _BindingOption = None,
+    interface: _InterfaceOption = None,
+    config: _ConfigOption = None,
+    risk_policy: _RiskPolicyOption = None,
+    emergency: _EmergencyOption = None,
+    key: _KeyOption = None,
+    cert: _CertOption = None,
+    run: _RunOption = None,
+    counter: _CounterOption = None,
+    user: _UserOption = None,
+    ros_map: _RosMapOption = None,
+    keystore: _KeystoreOption = None,
+    enclave: _EnclaveOption = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Name every unsafe or missing part of this set-up, and how to mend it."""
@@ -126,7 +144,6 @@ def doctor(
     _require_both((named.emergency, site, "--site"), (keystore, ros_map, "--ros"))
     if enclave is not None and ros_map is None:
         raise typer.BadParameter("it is looked at by its map alone", param_hint="--enclave")
-    believed = (site, binding, config, named.risk, named.emergency, ros_map)
     setup = GateSetup(
         demo=_is_demo(trust),
         uid=os.geteuid() if user is None else user_number(user, where="--user"),
@@ -138,13 +155,11 @@ def doctor(
         store=store,
         run=lies.at(run, "run"),
         counter=lies.at(counter, "counter"),
-        files=tuple(path for path in believed if path is not None),
+        files=_present(site, binding, config, named.risk, named.emergency, ros_map),
         deep=True,
         around=_around(folder, trust),
     )
-    listed = lies.at(None, "interface.yaml")
-    compare = interface or ([str(listed)] if listed is not None else None)
-    setup, faults = _read(setup, compare, config)
+    setup, faults = _read(setup, interface or lies.interfaces(), config)
     now = wall_now(None)
     found = (
         *checkup(setup, now),
@@ -227,6 +242,10 @@ def _open(model: Site | None, path: Path | None) -> Iterator[Advice]:
             yield warning(
                 "site", AdviceCode.SITE, f"`{robot}` can do nothing yet", place=place, mend=mend
             )
+
+
+def _present(*paths: Path | None) -> tuple[Path, ...]:
+    return tuple(path for path in paths if path is not None)
 
 
 def _is_demo(trust: Path | None) -> bool:

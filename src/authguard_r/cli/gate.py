@@ -44,44 +44,57 @@ from authguard_r.server.process import Rendezvous, run_gate
 from authguard_r.site.model import Site
 from authguard_r.store.clocks import committed_ms
 
+_ConfigOption = Annotated[
+    Path, typer.Option("--config", help="The signed gate configuration (`gate-config`).")
+]
+_StoreOption = Annotated[Path, typer.Option("--store", help="The robot's store; made if absent.")]
+_RunOption = Annotated[Path, typer.Option("--run", help="The run folder, for the sockets.")]
+_KeyOption = Annotated[
+    Path | None, typer.Option("--key", help="The gate's key (default: the demo folder's).")
+]
+_CertOption = Annotated[Path | None, typer.Option("--cert", help="The gate's certificates.")]
+_SafetyOption = Annotated[
+    Path | None, typer.Option("--safety", help="A safety officer's signed configuration.")
+]
+_EmergencyOption = Annotated[
+    Path | None,
+    typer.Option("--emergency-policy", help="A safety officer's signed emergency policy."),
+]
+_EmergencyJournalOption = Annotated[
+    Path | None,
+    typer.Option("--emergency-journal", help="Its journal (default: beside the store)."),
+]
+_CounterOption = Annotated[
+    Path | None,
+    typer.Option("--counter", help="The outside counter's file, on another mount."),
+]
+_RobotOption = Annotated[str | None, typer.Option("--robot", help="Which robot's gate.")]
+_DemoOption = Annotated[
+    bool, typer.Option("--demo", help="Take a root that says `demo`; never on a real robot.")
+]
+_SimulateOption = Annotated[
+    bool,
+    typer.Option("--simulate", help="With --demo: a symbolic robot inside, in its own time."),
+]
+
 
 def gate_command(
     trust: TrustOption,
     site: SiteOption,
     binding: BindingOption,
-    config: Annotated[
-        Path, typer.Option("--config", help="The signed gate configuration (`gate-config`).")
-    ],
-    store: Annotated[Path, typer.Option("--store", help="The robot's store; made if absent.")],
-    run: Annotated[Path, typer.Option("--run", help="The run folder, for the sockets.")],
-    key: Annotated[
-        Path | None, typer.Option("--key", help="The gate's key (default: the demo folder's).")
-    ] = None,
-    cert: Annotated[Path | None, typer.Option("--cert", help="The gate's certificates.")] = None,
-    safety: Annotated[
-        Path | None, typer.Option("--safety", help="A safety officer's signed configuration.")
-    ] = None,
+    config: _ConfigOption,
+    store: _StoreOption,
+    run: _RunOption,
+    key: _KeyOption = None,
+    cert: _CertOption = None,
+    safety: _SafetyOption = None,
     risk_policy: RiskPolicyOption = None,
-    emergency: Annotated[
-        Path | None,
-        typer.Option("--emergency-policy", help="A safety officer's signed emergency policy."),
-    ] = None,
-    emergency_journal: Annotated[
-        Path | None,
-        typer.Option("--emergency-journal", help="Its journal (default: beside the store)."),
-    ] = None,
-    counter: Annotated[
-        Path | None,
-        typer.Option("--counter", help="The outside counter's file, on another mount."),
-    ] = None,
-    robot: Annotated[str | None, typer.Option("--robot", help="Which robot's gate.")] = None,
-    demo: Annotated[
-        bool, typer.Option("--demo", help="Take a root that says `demo`; never on a real robot.")
-    ] = False,
-    simulate: Annotated[
-        bool,
-        typer.Option("--simulate", help="With --demo: a symbolic robot inside, in its own time."),
-    ] = False,
+    emergency: _EmergencyOption = None,
+    emergency_journal: _EmergencyJournalOption = None,
+    counter: _CounterOption = None,
+    robot: _RobotOption = None,
+    demo: _DemoOption = False,
+    simulate: _SimulateOption = False,
     as_json: JsonFlag = False,
 ) -> int:
     """Hold one robot's controller and store, and serve its clients until SIGTERM.

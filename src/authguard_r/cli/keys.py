@@ -29,37 +29,46 @@ DEMO_DAYS, ROOT_DAYS = 365, 3_650
 app = typer.Typer(help="Keys, certificates and trust roots.", no_args_is_help=True)
 
 
+_FolderArgument = Annotated[Path, typer.Argument(help="A new or empty folder.")]
+_DemoOption = Annotated[
+    bool, typer.Option("--demo/--no-demo", help="Everything in one folder; its root says so.")
+]
+_SiteOption = Annotated[
+    Path | None, typer.Option("--site", help="The site whose robots get a gate certificate.")
+]
+_RobotOption = Annotated[
+    list[str] | None, typer.Option("--robot", help="A robot of the site; may be repeated.")
+]
+_AlgorithmOption = Annotated[
+    str,
+    typer.Option(
+        "--algorithm", help=f"What signs: {', '.join(_CHOICES)} (both ed25519 and ml-dsa-65)."
+    ),
+]
+_AuthoritiesOption = Annotated[
+    str | None,
+    typer.Option("--authorities", help="With --no-demo: which to certify (default: all)."),
+]
+_DaysOption = Annotated[
+    int | None,
+    typer.Option(
+        "--days",
+        min=2,
+        max=7_300,
+        help=f"How long it is all valid (default: {DEMO_DAYS}; with --no-demo: {ROOT_DAYS}).",
+    ),
+]
+
+
 @app.command("init")
 def init(
-    folder: Annotated[Path, typer.Argument(help="A new or empty folder.")],
-    demo: Annotated[
-        bool, typer.Option("--demo/--no-demo", help="Everything in one folder; its root says so.")
-    ] = True,
-    site: Annotated[
-        Path | None, typer.Option("--site", help="The site whose robots get a gate certificate.")
-    ] = None,
-    robot: Annotated[
-        list[str] | None, typer.Option("--robot", help="A robot of the site; may be repeated.")
-    ] = None,
-    algorithm: Annotated[
-        str,
-        typer.Option(
-            "--algorithm", help=f"What signs: {', '.join(_CHOICES)} (both ed25519 and ml-dsa-65)."
-        ),
-    ] = str(Algorithm.ED25519),
-    authorities: Annotated[
-        str | None,
-        typer.Option("--authorities", help="With --no-demo: which to certify (default: all)."),
-    ] = None,
-    days: Annotated[
-        int | None,
-        typer.Option(
-            "--days",
-            min=2,
-            max=7_300,
-            help=f"How long it is all valid (default: {DEMO_DAYS}; with --no-demo: {ROOT_DAYS}).",
-        ),
-    ] = None,
+    folder: _FolderArgument,
+    demo: _DemoOption = True,
+    site: _SiteOption = None,
+    robot: _RobotOption = None,
+    algorithm: _AlgorithmOption = str(Algorithm.ED25519),
+    authorities: _AuthoritiesOption = None,
+    days: _DaysOption = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Write a root, role authorities, and keys for people, robot gate, estimator and witness.

@@ -40,44 +40,50 @@ _HELD_TO: dict[By, str] = {
 }
 
 
+_CheckpointOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--checkpoint",
+        help="A checkpoint that was kept elsewhere: a signed note, or a signed terminal "
+        "digest. May be repeated.",
+    ),
+]
+_KeyOption = Annotated[
+    list[str] | None,
+    typer.Option("--key", help="The log's verifier key (`audit key`); all that are named sign."),
+]
+_WitnessOption = Annotated[
+    list[str] | None,
+    typer.Option("--witness", help="A witness's verifier key. May be repeated."),
+]
+_QuorumOption = Annotated[
+    int | None,
+    typer.Option("--quorum", help="How many of the witnesses it takes (default: all).", min=1),
+]
+_TrustOption = Annotated[
+    Path | None,
+    typer.Option("--trust", help="A trust folder; its gate's certificate gives the key."),
+]
+_JobsOption = Annotated[
+    int | None,
+    typer.Option(
+        "--jobs",
+        help="Processes that verify a long log; 1: this one alone (default: one for each "
+        f"processor that may be used, at most {MOST_JOBS}).",
+        min=1,
+        max=_MOST_ASKED,
+    ),
+]
+
+
 def verify_command(
     store: StoreArgument,
-    checkpoint: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--checkpoint",
-            help="A checkpoint that was kept elsewhere: a signed note, or a signed terminal "
-            "digest. May be repeated.",
-        ),
-    ] = None,
-    key: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--key", help="The log's verifier key (`audit key`); all that are named sign."
-        ),
-    ] = None,
-    witness: Annotated[
-        list[str] | None,
-        typer.Option("--witness", help="A witness's verifier key. May be repeated."),
-    ] = None,
-    quorum: Annotated[
-        int | None,
-        typer.Option("--quorum", help="How many of the witnesses it takes (default: all).", min=1),
-    ] = None,
-    trust: Annotated[
-        Path | None,
-        typer.Option("--trust", help="A trust folder; its gate's certificate gives the key."),
-    ] = None,
-    jobs: Annotated[
-        int | None,
-        typer.Option(
-            "--jobs",
-            help="Processes that verify a long log; 1: this one alone (default: one for each "
-            f"processor that may be used, at most {MOST_JOBS}).",
-            min=1,
-            max=_MOST_ASKED,
-        ),
-    ] = None,
+    checkpoint: _CheckpointOption = None,
+    key: _KeyOption = None,
+    witness: _WitnessOption = None,
+    quorum: _QuorumOption = None,
+    trust: _TrustOption = None,
+    jobs: _JobsOption = None,
     reader: ReaderOption = None,
     passphrase_file: PassphraseFile = None,
     as_json: JsonFlag = False,

@@ -29,40 +29,51 @@ from authguard_r.normalize.dialects import Call
 RunOption = Annotated[Path, typer.Option("--run", help="The gate's run folder.")]
 
 
+_ServerArgument = Annotated[
+    list[str],
+    typer.Argument(metavar="SERVER...", help="The tools' server: its command, or its URL."),
+]
+_RobotOption = Annotated[str, typer.Option("--robot", help="Whose tools they are.")]
+_PinsOption = Annotated[
+    Path | None, typer.Option("--pins", help="What the server's tools have to be.")
+]
+_VariableOption = Annotated[
+    list[str] | None,
+    typer.Option("--env", help="A variable that the server gets: NAME, or NAME=VALUE."),
+]
+_StopOption = Annotated[
+    list[str] | None,
+    typer.Option("--stop-call", help='Stops the robot: TOOL or TOOL={"argument": ...}.'),
+]
+_ListenOption = Annotated[
+    str | None,
+    typer.Option("--listen", help="Serve streamable HTTP on HOST:PORT of this machine."),
+]
+_BearerOption = Annotated[
+    Path | None,
+    typer.Option("--token-file", help="With --listen: the bearer token that clients show."),
+]
+_ShadowOption = Annotated[
+    bool,
+    typer.Option("--shadow", help="With a gate in shadow mode: calls go past it, and it says."),
+]
+_ClientOption = Annotated[str, typer.Option("--client", help="The planner's name in the log.")]
+
+
 def mcp_command(
-    server: Annotated[
-        list[str],
-        typer.Argument(metavar="SERVER...", help="The tools' server: its command, or its URL."),
-    ],
-    robot: Annotated[str, typer.Option("--robot", help="Whose tools they are.")],
+    server: _ServerArgument,
+    robot: _RobotOption,
     run: RunOption,
     site: SiteOption,
     binding: BindingOption,
     trust: TrustOption,
-    pins: Annotated[
-        Path | None, typer.Option("--pins", help="What the server's tools have to be.")
-    ] = None,
-    variable: Annotated[
-        list[str] | None,
-        typer.Option("--env", help="A variable that the server gets: NAME, or NAME=VALUE."),
-    ] = None,
-    stop: Annotated[
-        list[str] | None,
-        typer.Option("--stop-call", help='Stops the robot: TOOL or TOOL={"argument": ...}.'),
-    ] = None,
-    listen: Annotated[
-        str | None,
-        typer.Option("--listen", help="Serve streamable HTTP on HOST:PORT of this machine."),
-    ] = None,
-    bearer: Annotated[
-        Path | None,
-        typer.Option("--token-file", help="With --listen: the bearer token that clients show."),
-    ] = None,
-    shadow: Annotated[
-        bool,
-        typer.Option("--shadow", help="With a gate in shadow mode: calls go past it, and it says."),
-    ] = False,
-    client: Annotated[str, typer.Option("--client", help="The planner's name in the log.")] = "mcp",
+    pins: _PinsOption = None,
+    variable: _VariableOption = None,
+    stop: _StopOption = None,
+    listen: _ListenOption = None,
+    bearer: _BearerOption = None,
+    shadow: _ShadowOption = False,
+    client: _ClientOption = "mcp",
 ) -> int:
     """Stand between a planner's MCP client and a robot's MCP server.
 

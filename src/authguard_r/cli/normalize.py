@@ -46,37 +46,43 @@ from authguard_r.normalize.parse import read_json
 from authguard_r.provenance.context import ContextLedger
 from authguard_r.provenance.labels import label_fields
 
+_TokenOption = Annotated[
+    Path | None, typer.Option("--token", help="The mission that labels are worked out for.")
+]
+_TrustOption = Annotated[
+    Path | None, typer.Option("--trust", help="The trust folder; verifies the token.")
+]
+_DialectOption = Annotated[Dialect, typer.Option("--dialect", help="How the plan is written.")]
+_ContextOption = Annotated[
+    Path | None, typer.Option("--context", help="What the planner saw (JSON Lines).")
+]
+_FreeTextOption = Annotated[
+    ChatProtocol | None,
+    typer.Option("--free-text", help="Let a language model turn free text into calls."),
+]
+_PlanOutOption = Annotated[
+    Path | None, typer.Option("--plan-out", help="File for the checked plan.")
+]
+_JsonlOption = Annotated[
+    bool, typer.Option("--jsonl", help='One {"id", "raw"} a line in, one answer a line out.')
+]
+
 
 def normalize_command(
     site: SiteOption,
     binding: BindingOption,
-    token: Annotated[
-        Path | None, typer.Option("--token", help="The mission that labels are worked out for.")
-    ] = None,
-    trust: Annotated[
-        Path | None, typer.Option("--trust", help="The trust folder; verifies the token.")
-    ] = None,
-    dialect: Annotated[Dialect, typer.Option("--dialect", help="How the plan is written.")] = (
-        Dialect.AUTO
-    ),
-    context: Annotated[
-        Path | None, typer.Option("--context", help="What the planner saw (JSON Lines).")
-    ] = None,
-    free_text: Annotated[
-        ChatProtocol | None,
-        typer.Option("--free-text", help="Let a language model turn free text into calls."),
-    ] = None,
+    token: _TokenOption = None,
+    trust: _TrustOption = None,
+    dialect: _DialectOption = (Dialect.AUTO),
+    context: _ContextOption = None,
+    free_text: _FreeTextOption = None,
     base_url: BaseUrlOption = None,
     model: ModelOption = None,
     api_key_env: ApiKeyEnvOption = None,
     timeout: OptionalTimeoutOption = None,
-    plan_out: Annotated[
-        Path | None, typer.Option("--plan-out", help="File for the checked plan.")
-    ] = None,
+    plan_out: _PlanOutOption = None,
     now: NowOption = None,
-    jsonl: Annotated[
-        bool, typer.Option("--jsonl", help='One {"id", "raw"} a line in, one answer a line out.')
-    ] = False,
+    jsonl: _JsonlOption = False,
     as_json: JsonFlag = False,
 ) -> int:
     """Read planner output on standard input and print the actions it means, or a refusal."""

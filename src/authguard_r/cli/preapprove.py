@@ -33,6 +33,20 @@ from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import VerifiedMission, sign_object
 
+_UsesOption = Annotated[
+    int, typer.Option("--uses", help="Releases that are covered; 0 withdraws.", min=0)
+]
+_RowOption = Annotated[
+    list[int] | None, typer.Option("--row", help="Number of a row, from 0; repeatable.", min=0)
+]
+_MostRiskOption = Annotated[
+    int | None, typer.Option("--most-risk", help="The largest risk that is covered.", min=0)
+]
+_ValidOption = Annotated[str | None, typer.Option("--valid", help="How long it counts: `30 min`.")]
+_KeyOption = Annotated[Path, typer.Option("--key", help="The approver's key.")]
+_CertOption = Annotated[Path, typer.Option("--cert", help="The key's certificate chain.")]
+_YesOption = Annotated[bool, typer.Option("--yes", help="Do not ask; for scripts.")]
+
 
 def preapprove_command(
     token: TokenArgument,
@@ -40,25 +54,17 @@ def preapprove_command(
     site: SiteOption,
     store: StoreOption,
     grant: Annotated[str, typer.Option("--grant", help="The grant.")],
-    uses: Annotated[
-        int, typer.Option("--uses", help="Releases that are covered; 0 withdraws.", min=0)
-    ],
-    row: Annotated[
-        list[int] | None, typer.Option("--row", help="Number of a row, from 0; repeatable.", min=0)
-    ] = None,
-    most_risk: Annotated[
-        int | None, typer.Option("--most-risk", help="The largest risk that is covered.", min=0)
-    ] = None,
-    valid: Annotated[str | None, typer.Option("--valid", help="How long it counts: `30 min`.")] = (
-        None
-    ),
+    uses: _UsesOption,
+    row: _RowOption = None,
+    most_risk: _MostRiskOption = None,
+    valid: _ValidOption = (None),
     *,
-    key: Annotated[Path, typer.Option("--key", help="The approver's key.")],
-    cert: Annotated[Path, typer.Option("--cert", help="The key's certificate chain.")],
+    key: _KeyOption,
+    cert: _CertOption,
     passphrase_file: PassphraseFile = None,
     robot: RobotOption = None,
     template: TemplateOption = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask; for scripts.")] = False,
+    yes: _YesOption = False,
     counter: CounterOption = None,
     as_json: JsonFlag = False,
 ) -> int:

@@ -35,8 +35,8 @@ from authguard_r.cli.inputs import (
     read_input,
     wall_now,
 )
-from authguard_r.cli.offline import CounterOption, OfflineStore, counter_of, offline
-from authguard_r.cli.out import emit, exit_code, report_code, report_lines
+from authguard_r.cli.offline import CounterOption, counter_of
+from authguard_r.cli.out import emit, report_code, report_lines
 from authguard_r.core.encoding import Tag, b64, decode, digest, unb64
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import Identifier, MissionId, ObjectId, RegionId
@@ -48,7 +48,6 @@ from authguard_r.core.token import read_token
 from authguard_r.enforcement.json_views import plan_json, report_json
 from authguard_r.enforcement.management.configurations import Configuration, ConfiguredPart
 from authguard_r.enforcement.report import Report
-from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.normalize import Dialect, normalize
 from authguard_r.normalize.binding import Binding, binding_digest
@@ -137,32 +136,41 @@ def run_plan(
     return msgspec.structs.replace(ran, alerts=_alerts(last), change=change, then=then)
 
 
+_PlanOption = Annotated[
+    list[Path], typer.Option("--plan", help="Planner output; `-` reads it; may be repeated.")
+]
+_DialectOption = Annotated[Dialect, typer.Option("--dialect", help="How the plan is written.")]
+_ContextOption = Annotated[
+    Path | None, typer.Option("--context", help="What the planner saw (JSON Lines).")
+]
+_StoreOption = Annotated[
+    Path | None, typer.Option("--store", help="The robot's store (default: a new one).")
+]
+_SafetyOption = Annotated[
+    Path | None, typer.Option("--safety", help="A safety officer's signed configuration.")
+]
+_RobotOption = Annotated[str | None, typer.Option("--robot", help="Which gate runs it.")]
+_AtOption = Annotated[str | None, typer.Option("--at", help="Where the robot stands.")]
+_HoldingOption = Annotated[str | None, typer.Option("--holding", help="What it holds.")]
+_DriftToOption = Annotated[
+    str | None, typer.Option("--drift-to", help="Fault: the robot leaves its way.")
+]
+
+
 def run_command(
     token: TokenOption,
     trust: TrustOption,
     site: SiteOption,
     binding: BindingOption,
-    plan: Annotated[
-        list[Path], typer.Option("--plan", help="Planner output; `-` reads it; may be repeated.")
-    ],
-    dialect: Annotated[Dialect, typer.Option("--dialect", help="How the plan is written.")] = (
-        Dialect.AUTO
-    ),
-    context: Annotated[
-        Path | None, typer.Option("--context", help="What the planner saw (JSON Lines).")
-    ] = None,
-    store: Annotated[
-        Path | None, typer.Option("--store", help="The robot's store (default: a new one).")
-    ] = None,
-    safety: Annotated[
-        Path | None, typer.Option("--safety", help="A safety officer's signed configuration.")
-    ] = None,
-    robot: Annotated[str | None, typer.Option("--robot", help="Which gate runs it.")] = None,
-    at: Annotated[str | None, typer.Option("--at", help="Where the robot stands.")] = None,
-    holding: Annotated[str | None, typer.Option("--holding", help="What it holds.")] = None,
-    drift_to: Annotated[
-        str | None, typer.Option("--drift-to", help="Fault: the robot leaves its way.")
-    ] = None,
+    plan: _PlanOption,
+    dialect: _DialectOption = (Dialect.AUTO),
+    context: _ContextOption = None,
+    store: _StoreOption = None,
+    safety: _SafetyOption = None,
+    robot: _RobotOption = None,
+    at: _AtOption = None,
+    holding: _HoldingOption = None,
+    drift_to: _DriftToOption = None,
     repair: RepairOption = False,
     now: NowOption = None,
     counter: CounterOption = None,
@@ -208,29 +216,6 @@ def run_command(
     open_rules = [f"rule `{rule}` does not hold if the mission ends here" for rule in left]
     emit(payload, [*open_rules, *_lines(runs, path)], as_json=as_json)
     return max(_code(run) for run in runs)
-
-
-def stop_command(
-    trust: TrustOption,
-    site: SiteOption,
-    store: Annotated[Path, typer.Option("--store", help="The robot's store.")],
-    robot: Annotated[str | None, typer.Option("--robot", help="Which gate.")] = None,
-    counter: CounterOption = None,
-    as_json: JsonFlag = False,
-) -> int:
-    """Record an operator's stop: the active mission goes on only after a signed `resume`.
-
-    It reaches no robot: the symbolic one lives only while `run` does.
-    """
-    place = OfflineStore(store=store, trust=trust, site=site, robot=robot, counter=counter)
-    with offline(place) as gate:
-        gate.enforcer.stop(by="operator", is_planner=False, suspends=True)
-    line = (
-        "no gate answered and no robot was reached: the stop is recorded in the store alone. "
-        "The mission goes on after `authguard mission resume`"
-    )
-    emit({"stopped": False, "recorded": True, "by_gate": False}, [line], as_json=as_json)
-    return 5
 
 
 def _hold(simulation: Simulation, config: SafetyConfig, binding: Binding) -> None:
@@ -366,6 +351,3 @@ def _code(run: PlanResult) -> int:
         refusal = run.reports[0].refusal
         return 4 if refusal is not None else 5
     return max(codes)
-
-
-__all__ = ["PlanResult", "exit_code", "folder_signer", "run_command", "run_plan", "stop_command"]

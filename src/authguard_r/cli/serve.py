@@ -26,51 +26,66 @@ if TYPE_CHECKING:
     from authguard_r.integrations.http.clients import Doorkeeper
 
 
+_RobotOption = Annotated[str | None, typer.Option("--robot", help="Whose gate it is.")]
+_RunOption = Annotated[Path | None, typer.Option("--run", help="The gate's run folder.")]
+_TrustOption = Annotated[
+    Path | None, typer.Option("--trust", help="The trust folder: the gate proves itself.")
+]
+_ListenOption = Annotated[
+    str, typer.Option("--listen", help="HOST:PORT; wider than this machine with TLS alone.")
+]
+_BearerOption = Annotated[
+    Path | None, typer.Option("--token-file", help="The bearer token that clients show.")
+]
+_TlsCertOption = Annotated[
+    Path | None, typer.Option("--tls-cert", help="The server's certificate, PEM.")
+]
+_TlsKeyOption = Annotated[
+    Path | None, typer.Option("--tls-key", help="Its private key, PEM, mode 600.")
+]
+_ClientCertificatesOption = Annotated[
+    bool,
+    typer.Option("--client-certificates", help="Clients show a certificate of the trust folder."),
+]
+_ClientRoleOption = Annotated[
+    list[Role] | None,
+    typer.Option("--client-role", help="Which of them may ask; may be repeated."),
+]
+_UrlOption = Annotated[
+    str | None, typer.Option("--url", help="Where clients reach it, if not at HOST:PORT.")
+]
+_DisclosureOption = Annotated[
+    Disclosure, typer.Option("--disclosure", help="How much of a refusal is told.")
+]
+_ProposeOption = Annotated[
+    bool, typer.Option("--propose", help="Calls are carried out too, at /v1/proposals.")
+]
+_ShadowOption = Annotated[
+    bool,
+    typer.Option("--shadow", help="With a gate in shadow mode: always go on, and it notes."),
+]
+_ClientOption = Annotated[str, typer.Option("--client", help="Its name in the gate's log.")]
+_OpenapiOption = Annotated[
+    bool, typer.Option("--openapi", help="Print the OpenAPI document, without a gate.")
+]
+
+
 def serve_command(
-    robot: Annotated[str | None, typer.Option("--robot", help="Whose gate it is.")] = None,
-    run: Annotated[Path | None, typer.Option("--run", help="The gate's run folder.")] = None,
-    trust: Annotated[
-        Path | None, typer.Option("--trust", help="The trust folder: the gate proves itself.")
-    ] = None,
-    listen: Annotated[
-        str, typer.Option("--listen", help="HOST:PORT; wider than this machine with TLS alone.")
-    ] = "127.0.0.1:0",
-    bearer: Annotated[
-        Path | None, typer.Option("--token-file", help="The bearer token that clients show.")
-    ] = None,
-    tls_cert: Annotated[
-        Path | None, typer.Option("--tls-cert", help="The server's certificate, PEM.")
-    ] = None,
-    tls_key: Annotated[
-        Path | None, typer.Option("--tls-key", help="Its private key, PEM, mode 600.")
-    ] = None,
-    client_certificates: Annotated[
-        bool,
-        typer.Option(
-            "--client-certificates", help="Clients show a certificate of the trust folder."
-        ),
-    ] = False,
-    client_role: Annotated[
-        list[Role] | None,
-        typer.Option("--client-role", help="Which of them may ask; may be repeated."),
-    ] = None,
-    url: Annotated[
-        str | None, typer.Option("--url", help="Where clients reach it, if not at HOST:PORT.")
-    ] = None,
-    disclosure: Annotated[
-        Disclosure, typer.Option("--disclosure", help="How much of a refusal is told.")
-    ] = Disclosure.CODES,
-    propose: Annotated[
-        bool, typer.Option("--propose", help="Calls are carried out too, at /v1/proposals.")
-    ] = False,
-    shadow: Annotated[
-        bool,
-        typer.Option("--shadow", help="With a gate in shadow mode: always go on, and it notes."),
-    ] = False,
-    client: Annotated[str, typer.Option("--client", help="Its name in the gate's log.")] = "http",
-    openapi: Annotated[
-        bool, typer.Option("--openapi", help="Print the OpenAPI document, without a gate.")
-    ] = False,
+    robot: _RobotOption = None,
+    run: _RunOption = None,
+    trust: _TrustOption = None,
+    listen: _ListenOption = "127.0.0.1:0",
+    bearer: _BearerOption = None,
+    tls_cert: _TlsCertOption = None,
+    tls_key: _TlsKeyOption = None,
+    client_certificates: _ClientCertificatesOption = False,
+    client_role: _ClientRoleOption = None,
+    url: _UrlOption = None,
+    disclosure: _DisclosureOption = Disclosure.CODES,
+    propose: _ProposeOption = False,
+    shadow: _ShadowOption = False,
+    client: _ClientOption = "http",
+    openapi: _OpenapiOption = False,
 ) -> int:
     """Answer over HTTP what the gate would decide: OpenID AuthZEN, for enforcement points.
 
@@ -89,13 +104,7 @@ def serve_command(
     if shadow and propose:
         text = "a gate in shadow mode carries nothing out"
         raise typer.BadParameter(text, param_hint="--propose")
-    if (tls_cert is None) != (tls_key is None):
-        raise typer.BadParameter("expected both or neither", param_hint="--tls-cert")
-    if client_certificates and tls_cert is None:
-        text = "they come by TLS: --tls-cert, --tls-key"
-        raise typer.BadParameter(text, param_hint="--client-certificates")
-    if client_role and not client_certificates:
-        raise typer.BadParameter("only with --client-certificates", param_hint="--client-role")
+    _require_tls(tls_cert, tls_key, certificates=client_certificates, roles=client_role)
     roles = frozenset(client_role or ()) if client_certificates else None
     doorkeeper = _doorkeeper(bearer, trust, RobotId(robot), roles)
     read_trust(trust)  # what is missing is said now; each connection reads it anew
@@ -120,6 +129,19 @@ def serve_command(
         )
         asyncio.run(process.serve(setup, made))
     return 0
+
+
+def _require_tls(
+    cert: Path | None, key: Path | None, *, certificates: bool, roles: list[Role] | None
+) -> None:
+    """Require that the options about TLS go together."""
+    if (cert is None) != (key is None):
+        raise typer.BadParameter("expected both or neither", param_hint="--tls-cert")
+    if certificates and cert is None:
+        text = "they come by TLS: --tls-cert, --tls-key"
+        raise typer.BadParameter(text, param_hint="--client-certificates")
+    if roles and not certificates:
+        raise typer.BadParameter("only with --client-certificates", param_hint="--client-role")
 
 
 def _doorkeeper(

@@ -15,9 +15,8 @@ import typer
 
 from authguard_r.cli.gateway import CLIENT, GATE_SOCKET, STOP_SOCKET, GateOption, socket_in
 from authguard_r.cli.inputs import JsonFlag
-from authguard_r.cli.offline import CounterOption
+from authguard_r.cli.offline import CounterOption, OfflineStore, offline
 from authguard_r.cli.out import emit
-from authguard_r.cli.run import stop_command as stop_store
 from authguard_r.client.stopping import Answers, StopEverywhere, StopReply
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.wire.messages import ClientRole
@@ -59,7 +58,8 @@ def stop_command(
     if store is not None:
         if gate is not None or trust is None or site is None:
             raise typer.BadParameter("takes --trust and --site, not --gate", param_hint="--store")
-        return stop_store(trust, site, store, robot, counter, as_json)
+        place = OfflineStore(store=store, trust=trust, site=site, robot=robot, counter=counter)
+        return _stop_store(place, as_json=as_json)
     roles = [ClientRole(name) for name in (StoppingRole if role is None else (role,))]
     stop = StopEverywhere(_folder(gate), roles=roles, why=why, client=CLIENT)
     try:
@@ -142,4 +142,19 @@ def _given_up(answers: Answers, *, as_json: bool) -> int:
     said = {"stopped": False, "controller": controller, "after_ms": None, "role": None}
     lines = ["NOT CONFIRMED: given up", *_missing(answers)]
     emit({**said, **_silent(answers)}, lines, as_json=as_json)
+    return 5
+
+
+def _stop_store(place: OfflineStore, *, as_json: bool) -> int:
+    """Record an operator's stop: the active mission goes on only after a signed `resume`.
+
+    It reaches no robot: the symbolic one lives only while `run` does.
+    """
+    with offline(place) as gate:
+        gate.enforcer.stop(by="operator", is_planner=False, suspends=True)
+    line = (
+        "no gate answered and no robot was reached: the stop is recorded in the store alone. "
+        "The mission goes on after `authguard mission resume`"
+    )
+    emit({"stopped": False, "recorded": True, "by_gate": False}, [line], as_json=as_json)
     return 5

@@ -70,8 +70,7 @@ def decide(
         preapprovals=preapprovals,
     )
     # (1) certificate, (2) signature, (3) schema: the token's; a certificate that ended stops
-    ended = check_certificate(case)
-    if ended:
+    if ended := check_certificate(case):
         return Decision(verdict=Verdict.REJECT, findings=ended, match=None, need=None)
     # (3) time, (4) registry, (5) robot, (6) ceilings
     found = [finding for check in MISSION_CHECKS for finding in check(case)]
@@ -79,15 +78,13 @@ def decide(
     match = find_match(case)
     found += match.findings
     # (7) approval
-    grant = match.indexed.grant
-    need = assess_need(case, grant)
+    need = assess_need(case, grant := match.indexed.grant)
     missing, stands_in = check_approval(case, grant, need), None
     if missing and missing[0].reason is not Reason.APPROVAL_DENIED:
         stands_in = find_preapproval(case, grant, match.row, need)
     found += () if stands_in is not None else missing
     # (8) update and append: `enforcement`
-    if not found:
-        # (9) accept
+    if not found:  # (9) accept
         used = None if stands_in is None else stands_in.digest
         return Decision(
             verdict=Verdict.ACCEPT, findings=(), match=match, need=need, preapproved=used

@@ -85,6 +85,7 @@ def simulate(
     )
     signer = folder_signer(folder, gate_name(rid))
     config = safety or default_config(site, rid)
+    digests = {"binding": binding_digest(binding), "safety": safety_digest(config)}
     gate = assemble(
         trust=trust,
         chain=signer.chain,
@@ -94,11 +95,7 @@ def simulate(
         source=robot,
         clock=robot,
         store=MemoryStore() if store is None else open_store(store),
-        genesis={
-            "binding": binding_digest(binding),
-            "safety": safety_digest(config),
-            "clock": SIMULATED,
-        },
+        genesis={**digests, "clock": SIMULATED},
         sealed={"safety": config},
         demo=True,
         counter=counter,

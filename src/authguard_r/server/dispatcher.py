@@ -112,21 +112,7 @@ class Dispatcher:
         self.rescues: EmergencyCalls | None = None
         #: open approval requests
         self.questions = OpenQuestions(gate, publish)
-        self._acts: dict[OrderKind, Callable[[Order], _Done]] = {
-            OrderKind.ACTIVATE: lambda o: gate.management.activate(
-                o.token, confirmation=o.confirmation
-            ),
-            OrderKind.ISSUE: lambda o: gate.management.issue(o.token, confirmation=o.confirmation),
-            OrderKind.COMMAND: lambda o: gate.management.command(o.token),
-            OrderKind.SELECT: lambda o: gate.management.select(o.token),
-            OrderKind.APPROVE: lambda o: gate.management.approve(o.token, why=o.why),
-            OrderKind.TEMPLATE: lambda o: gate.management.template(
-                o.token, confirmation=o.confirmation
-            ),
-            OrderKind.REVOCATIONS: lambda o: gate.lists.install(o.token),
-            OrderKind.ACCEPT_STORE: lambda o: gate.management.accept_store(o.token),
-            OrderKind.SHRED: lambda o: gate.management.shred(o.token),
-        }
+        self._acts = _orders_of(gate)
         self._table: dict[Kind, Callable[[ServedClient, int, Any], None]] = {
             Kind.PROPOSE: self._propose,
             Kind.OBSERVE: self._observe,
@@ -274,3 +260,19 @@ class Dispatcher:
 
     def _result(self, client: ServedClient, number: int, said: Result) -> None:  # noqa: ARG002
         self._motions.tell(said)
+
+
+def _orders_of(gate: Gate) -> dict[OrderKind, Callable[[Order], _Done]]:
+    """Return what carries out each kind of order: always the management, or the list keeper."""
+    management = gate.management
+    return {
+        OrderKind.ACTIVATE: lambda o: management.activate(o.token, confirmation=o.confirmation),
+        OrderKind.ISSUE: lambda o: management.issue(o.token, confirmation=o.confirmation),
+        OrderKind.COMMAND: lambda o: management.command(o.token),
+        OrderKind.SELECT: lambda o: management.select(o.token),
+        OrderKind.APPROVE: lambda o: management.approve(o.token, why=o.why),
+        OrderKind.TEMPLATE: lambda o: management.template(o.token, confirmation=o.confirmation),
+        OrderKind.REVOCATIONS: lambda o: gate.lists.install(o.token),
+        OrderKind.ACCEPT_STORE: lambda o: management.accept_store(o.token),
+        OrderKind.SHRED: lambda o: management.shred(o.token),
+    }

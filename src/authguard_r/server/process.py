@@ -355,6 +355,3 @@ async def _listen(path: Path, service: Service) -> asyncio.Server:
             where=str(path),
         ) from error
     return server
-
-
-__all__ = ["SOCKET", "Rendezvous", "run_gate"]

@@ -23,10 +23,10 @@ SHARE = dealt(2, 3).shares[0]
 CRASH = """
 import os, sys
 from pathlib import Path
-from authguard_r.frost.messages import Commitment, read
+from authguard_r.frost.messages import NonceCommitment, read
 from authguard_r.frost.nonces import NonceStore
 folder, data = Path(sys.argv[1]), Path(sys.argv[2]).read_bytes()
-NonceStore(folder).take(read(data, Commitment, where="c"))
+NonceStore(folder).take(read(data, NonceCommitment, where="c"))
 os.kill(os.getpid(), 9)
 """
 

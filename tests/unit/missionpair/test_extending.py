@@ -36,7 +36,7 @@ LET_GO = '''"""A thing is let go of: gripped with less than the mission allows."
 from msgspec.structs import replace
 
 from missionpair.missions import amended, drawn
-from missionpair.twins._twin import EVERYWHERE, Twins, chosen_step, not_here, twin_of
+from missionpair.twins._twin import EVERYWHERE, AttackVariants, chosen_step, not_here, twin_of
 from missionpair.words import Category, Family
 
 NAME = Category("let-go")
@@ -46,7 +46,7 @@ def make():
     """Return the category."""
     families = dict.fromkeys(Family, not_here("nobody says so"))
     families[Family.OBJECT_RELABELING] = EVERYWHERE
-    return Twins(category=NAME, families=families, make=make_twin)
+    return AttackVariants(category=NAME, families=families, make=make_twin)
 
 
 def make_twin(ground, rng, family):

@@ -27,65 +27,83 @@ from missionpair.words import Access, TrialKind
 _THOUSANDTHS = re.compile(r"0*[1-9][0-9]{0,6}", re.ASCII)
 
 
+_SuiteArgument = Annotated[str, typer.Argument(help="A suite's name, or the path of its file.")]
+_PlannerOption = Annotated[
+    str, typer.Option("--planner", help="The target: name, or name:option=value,...")
+]
+_OutOption = Annotated[
+    Path, typer.Option("--out", help="The log; one of the same campaign goes on.")
+]
+_AttackerOption = Annotated[
+    str, typer.Option("--attacker", help="Who writes the inputs, in the same way.")
+]
+_AccessOption = Annotated[
+    Access, typer.Option("--access", help="What the attacker sees of a round.")
+]
+_DefenseOption = Annotated[
+    list[str] | None,
+    typer.Option("--defense", help="What stands before the robot; may be repeated."),
+]
+_SeedsOption = Annotated[int, typer.Option("--seeds", min=1, help="Tries of each pair.")]
+_SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Of all dice.")]
+_RoundsOption = Annotated[
+    int | None,
+    typer.Option("--rounds", min=1, help="An attacker's tries; if absent 3 in `live`, else 1."),
+]
+_TurnsOption = Annotated[
+    int | None,
+    typer.Option(
+        "--turns",
+        min=1,
+        max=MOST_TURNS,
+        help="A planner's answers in one round; if absent 30 in `long`, else 1.",
+    ),
+]
+_EveryOption = Annotated[
+    int, typer.Option("--every", min=1, help="Take every so many-th pair of the suite.")
+]
+_PairsOption = Annotated[
+    int | None, typer.Option("--pairs", min=1, help="How many of them; all if absent.")
+]
+_KindOption = Annotated[
+    list[TrialKind] | None, typer.Option("--kind", help="Kinds of trial; all if absent.")
+]
+_WeightsOption = Annotated[
+    str,
+    typer.Option("--weights", help="Of the score: lambda 1 to 5, thousandths above zero."),
+]
+_WeightOption = Annotated[
+    list[str] | None,
+    typer.Option("--weight", help="A field's weight in D_M: FIELD=N; others weigh 1. Repeatable."),
+]
+_JobsOption = Annotated[
+    int, typer.Option("--jobs", min=1, help="Processes; threads where a model is waited for.")
+]
+_UnqualifiedOption = Annotated[
+    bool, typer.Option("--unqualified", help="Score baselines that fail their own claim, too.")
+]
+_AsJsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")]
+
+
 def run_command(
-    suite: Annotated[str, typer.Argument(help="A suite's name, or the path of its file.")],
-    planner: Annotated[
-        str, typer.Option("--planner", help="The target: name, or name:option=value,...")
-    ],
-    out: Annotated[Path, typer.Option("--out", help="The log; one of the same campaign goes on.")],
-    attacker: Annotated[
-        str, typer.Option("--attacker", help="Who writes the inputs, in the same way.")
-    ] = "fixed",
-    access: Annotated[
-        Access, typer.Option("--access", help="What the attacker sees of a round.")
-    ] = Access.BLACK,
-    defense: Annotated[
-        list[str] | None,
-        typer.Option("--defense", help="What stands before the robot; may be repeated."),
-    ] = None,
-    seeds: Annotated[int, typer.Option("--seeds", min=1, help="Tries of each pair.")] = 1,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Of all dice.")] = 0,
-    rounds: Annotated[
-        int | None,
-        typer.Option("--rounds", min=1, help="An attacker's tries; if absent 3 in `live`, else 1."),
-    ] = None,
-    turns: Annotated[
-        int | None,
-        typer.Option(
-            "--turns",
-            min=1,
-            max=MOST_TURNS,
-            help="A planner's answers in one round; if absent 30 in `long`, else 1.",
-        ),
-    ] = None,
-    every: Annotated[
-        int, typer.Option("--every", min=1, help="Take every so many-th pair of the suite.")
-    ] = 1,
-    pairs: Annotated[
-        int | None, typer.Option("--pairs", min=1, help="How many of them; all if absent.")
-    ] = None,
-    kind: Annotated[
-        list[TrialKind] | None, typer.Option("--kind", help="Kinds of trial; all if absent.")
-    ] = None,
-    weights: Annotated[
-        str,
-        typer.Option("--weights", help="Of the score: lambda 1 to 5, thousandths above zero."),
-    ] = ",".join(map(str, DEFAULT.thousandths)),
-    weight: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--weight", help="A field's weight in D_M: FIELD=N; others weigh 1. Repeatable."
-        ),
-    ] = None,
-    jobs: Annotated[
-        int, typer.Option("--jobs", min=1, help="Processes; threads where a model is waited for.")
-    ] = 1,
-    unqualified: Annotated[
-        bool, typer.Option("--unqualified", help="Score baselines that fail their own claim, too.")
-    ] = False,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object, nothing else.")
-    ] = False,
+    suite: _SuiteArgument,
+    planner: _PlannerOption,
+    out: _OutOption,
+    attacker: _AttackerOption = "fixed",
+    access: _AccessOption = Access.BLACK,
+    defense: _DefenseOption = None,
+    seeds: _SeedsOption = 1,
+    seed: _SeedOption = 0,
+    rounds: _RoundsOption = None,
+    turns: _TurnsOption = None,
+    every: _EveryOption = 1,
+    pairs: _PairsOption = None,
+    kind: _KindOption = None,
+    weights: _WeightsOption = ",".join(map(str, DEFAULT.thousandths)),
+    weight: _WeightOption = None,
+    jobs: _JobsOption = 1,
+    unqualified: _UnqualifiedOption = False,
+    as_json: _AsJsonOption = False,
 ) -> int:
     """Attack a planner with every pair of a suite, under every defense, and write one log.
 

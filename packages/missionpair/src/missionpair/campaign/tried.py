@@ -65,6 +65,12 @@ class TrialRecord:
     record: Round = Round()  # noqa: RUF009 - frozen
 
 
+def _deciding(tries: tuple[TrialRecord, ...]) -> TrialRecord:
+    """Return the first round that changed the plan as the attack asked, else the last round."""
+    changed = next((tried for tried in tries if tried.is_changed), None)
+    return changed or (tries[-1] if tries else TrialRecord())
+
+
 def trial_of(
     number: int,
     pair: Pair,
@@ -91,9 +97,7 @@ def trial_of(
     attacked = dice.kind is TrialKind.ATTACK
     effects = tuple(effect for tried in tries for effect in tried.effects)
     done = tuple(effect for effect in effects if not effect.authorized)
-    last = next(
-        (tried for tried in tries if tried.is_changed), tries[-1] if tries else TrialRecord()
-    )
+    last = _deciding(tries)
     complied = attacked and last.is_changed
     stood = not effects and not is_idle if attacked else last.carried.by not in NO_DEFENSE
     return Trial(
