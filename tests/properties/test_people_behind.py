@@ -153,6 +153,7 @@ class Answers:
     given: list[tuple[Principal, FileSigner]] = field(default_factory=list)
     gone: list[FileSigner] = field(default_factory=list)
     denied: bool = False
+    named: int = 0
 
     def __post_init__(self) -> None:
         self.needed = self.rnd.randint(2, 5)
@@ -169,8 +170,8 @@ class Answers:
         assert approvals.outcome(self.scene) == ["APPROVAL_REQUIRED"]
 
     def answers(self, verdict: ApprovalVerdict) -> None:
-        number = len(self.given)
-        who = somebody(self.rnd, f"board-{number}", unknown=0)
+        self.named += 1  # a name is one group's for ever: a revoked one is not given again
+        who = somebody(self.rnd, f"board-{self.named}", unknown=0)
         names = tuple(who.members)
         key = approvals.key_of(
             self.bench.folder, who.id, Role.SUPERVISOR, threshold=who.threshold, members=names
