@@ -333,7 +333,13 @@ def test_approvals_watch_says_what_becomes_of_a_request(gate: RunningGate) -> No
             )
             reasons(planner)
             (question,) = console.approvals()
-            console.answer(question, ApprovalVerdict.APPROVE, key("supervisor-1"))
+
+            def answered() -> bool:
+                """Answer until two events were seen: it may begin to watch late."""
+                console.answer(question, ApprovalVerdict.APPROVE, key("supervisor-1"))
+                return watching.poll() is not None
+
+            until(answered, "the watcher's end")
         out, _ = watching.communicate(timeout=60)
     finally:
         watching.kill()
