@@ -3,7 +3,44 @@
 
 from __future__ import annotations
 
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
 import layout
+
+CONTRACTS = layout.ROOT / "tests" / "import_contracts.toml"
+
+
+def contracts_hold(folder: Path | None = None) -> tuple[int, str]:
+    """Run the import contracts inside the folders; return exit code and what is said."""
+    path = Path(sys.executable).parent / "lint-imports"
+    sources = layout.SRC if folder is None else folder
+    ran = subprocess.run(
+        [path, "--no-cache", "--config", CONTRACTS],
+        env={"PYTHONPATH": str(sources), "PATH": ""},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return ran.returncode, ran.stdout + ran.stderr
+
+
+def test_the_parts_of_a_folder_import_only_what_they_may() -> None:
+    code, said = contracts_hold()
+    assert code == 0, said
+
+
+def test_an_import_that_a_part_may_not_have_is_seen(tmp_path: Path) -> None:
+    """Drafting proposes; a draft that reads the store would be no proposal any more."""
+    copy = tmp_path / "src"
+    shutil.copytree(layout.SRC, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    module = copy / "authguard_r" / "authoring" / "drafting" / "plan.py"
+    module.write_text(module.read_text() + "\nimport authguard_r.store.sqlite\n")
+    code, said = contracts_hold(copy)
+    assert code == 1
+    assert "drafting imports the site and the core BROKEN" in said
 
 
 def test_the_layout_keeps_to_its_bounds_and_the_bounds_follow_it() -> None:
