@@ -217,7 +217,7 @@ def test_a_missing_package_is_told_with_its_mend(
     kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, kind, None)
-    with SERVERS[kind]() as server, pytest.raises(PlannerError, match=r"authguard-r\[llm\]"):
+    with SERVERS[kind]() as server, pytest.raises(PlannerError, match=r"missionpair\[llm\]"):
         client(kind, server)
 
 
