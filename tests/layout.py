@@ -111,7 +111,7 @@ def repeated_class_names() -> list[str]:
         node.name
         for path in sources()
         if "authguard_reference" not in path.parts
-        for node in ast.walk(_tree(path))
+        for node in _nodes(path)
         if isinstance(node, ast.ClassDef)
     )
     return sorted(name for name, count in names.items() if count > 1)
@@ -122,7 +122,7 @@ def long_functions() -> list[str]:
     return [
         f"{path.relative_to(ROOT)}:{node.name} {length}"
         for path in sources()
-        for node in ast.walk(_tree(path))
+        for node in _nodes(path)
         if isinstance(node, _FUNCTIONS)
         and (length := (node.end_lineno or 0) - node.lineno + 1) > FUNCTION
     ]
@@ -144,7 +144,7 @@ def unused_names() -> list[str]:
     A use is a line of `src/` that reads the name, a command table's text (`"module:function"`),
     an example, a how-to, or the reference for users. Imports and `__all__` alone are none.
     """
-    used = {name for path in sources() for name in _used(_tree(path))} | _documented()
+    used = {name for path in sources() for name in _used(path)} | _documented()
     return [
         f"{path.relative_to(ROOT)}:{node.name}"
         for path in sources()
@@ -159,6 +159,11 @@ def unused_names() -> list[str]:
 @cache
 def _tree(path: Path) -> ast.Module:
     return ast.parse(path.read_text())
+
+
+@cache
+def _nodes(path: Path) -> tuple[ast.AST, ...]:
+    return tuple(ast.walk(_tree(path)))
 
 
 @cache
@@ -198,9 +203,9 @@ def _number(node: ast.stmt) -> str:
     return target.id if allowed and values and numeric else ""
 
 
-def _used(tree: ast.Module) -> Iterator[str]:
+def _used(path: Path) -> Iterator[str]:
     """Yield every name that a module reads, and the functions that its texts name as commands."""
-    for node in ast.walk(tree):
+    for node in _nodes(path):
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
             yield node.id
         elif isinstance(node, ast.Attribute):
