@@ -387,7 +387,7 @@ def test_the_checked_plan_is_ordinary_planner_output(console: Console, tmp_path:
 
 def test_a_gate_loads_no_model_client() -> None:
     """Nor can its configuration name one: a field that it does not have refuses it."""
-    asked = "import sys, authguard_r.cli.gate, authguard_r.server.process, authguard_r.cli.run\n"
+    asked = "import sys, authguard_r.server.main, authguard_r.server.process, authguard_r.cli.run\n"
     asked += "print([n for n in sys.modules if 'drafting' in n or n in ('openai', 'httpx2')])"
     done = subprocess.run([sys.executable, "-c", asked], capture_output=True, check=True)
     assert done.stdout.split() == [b"[]"]

@@ -42,13 +42,13 @@ from std_msgs.msg import UInt8
 from std_srvs.srv import Empty, Trigger
 from test_msgs.action import Fibonacci
 
+from authguard_r.access.files import given_binding
 from authguard_r.client.link import ProcessLog
 from authguard_r.integrations.ros.map import parse_map
 from authguard_r.integrations.ros.names import TypePart
 from authguard_r.integrations.ros.nodes.heartbeat import steady
 from authguard_r.integrations.ros.nodes.mediator import Mediator, MediatorTarget, mediating
 from authguard_r.integrations.ros.nodes.values import load_type
-from authguard_r.integrations.tools.files import given_binding
 from authguard_r.keys.trust import read_trust
 from authguard_r.site.source import read_site
 from fixtures import scenarios

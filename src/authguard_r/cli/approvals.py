@@ -19,7 +19,6 @@ from authguard_r.authoring.compile.request import action_line, brief, card
 from authguard_r.cli.ask import confirm_shown
 from authguard_r.cli.gateway import GateOption, ProofOption, ReadingRole, RoleOption, connected
 from authguard_r.cli.inputs import JsonFlag, load_site
-from authguard_r.cli.out import emit, printed
 from authguard_r.cli.signing_key import PassphraseFile, open_signer
 from authguard_r.cli.watch import ENDED, event_line
 from authguard_r.client import GateClient
@@ -29,6 +28,7 @@ from authguard_r.core.errors import AuthGuardError
 from authguard_r.keys.signer import FileSigner
 from authguard_r.site.model import Site
 from authguard_r.wire.approval_request import Question
+from authguard_r.wire.output import emit, printed
 
 app = typer.Typer(
     help="Open approval requests: see them, answer them, watch them.", no_args_is_help=True

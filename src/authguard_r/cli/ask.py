@@ -10,8 +10,8 @@ from typing import Annotated, TypeVar
 import typer
 
 from authguard_r.authoring.compile.answers import read_answer
-from authguard_r.cli.out import printed
 from authguard_r.core.errors import ClarificationError, MalformedError, shown
+from authguard_r.wire.output import printed
 
 T = TypeVar("T")
 AnswerOption = Annotated[

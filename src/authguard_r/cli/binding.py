@@ -12,7 +12,6 @@ import typer
 from authguard_r.authoring.binding.check import BindingReport, check_binding
 from authguard_r.authoring.binding.samples import Sampler, probe_site
 from authguard_r.cli.inputs import JsonFlag, load_site
-from authguard_r.cli.out import emit
 from authguard_r.core.errors import MalformedError
 from authguard_r.normalize.binding import Binding, binding_digest, require_sound, ways
 from authguard_r.normalize.interface import Surface, listed_interface, read_interface
@@ -21,6 +20,7 @@ from authguard_r.normalize.shipped import binding_source, shipped_interface, shi
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert, read_text, read_yaml
 from authguard_r.site.words import standard_words
+from authguard_r.wire.output import emit
 
 app = typer.Typer(help="Bindings: what each field of each tool means.", no_args_is_help=True)
 BindingArgument = Annotated[str, typer.Argument(help="A shipped binding's name, or a file.")]

@@ -34,7 +34,7 @@ from authguard_r.cli.inputs import (
     text_of,
     wall_now,
 )
-from authguard_r.cli.out import decision_lines, emit, risk_policy_json, verdict_code
+from authguard_r.cli.out import decision_lines, risk_policy_json, verdict_code
 from authguard_r.core.encoding import decode
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.facts import SiteFacts
@@ -53,6 +53,7 @@ from authguard_r.normalize.parse import read_json
 from authguard_r.provenance.context import ContextLedger
 from authguard_r.safety import EnvelopeGate, default_config
 from authguard_r.store.sqlite import read_held
+from authguard_r.wire.output import emit
 
 
 class _Question(Struct, frozen=True, kw_only=True):

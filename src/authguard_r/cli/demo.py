@@ -19,7 +19,7 @@ from authguard_r.authoring.compile.build import compile_draft
 from authguard_r.authoring.compile.draft import Draft
 from authguard_r.authoring.keys.setup import demo_members, init_folder
 from authguard_r.cli.inputs import JsonFlag, read_binding, read_context
-from authguard_r.cli.out import emit, report_lines
+from authguard_r.cli.out import report_lines
 from authguard_r.cli.run import PlanResult, run_plan
 from authguard_r.core.encoding import Tag, b64, digest
 from authguard_r.core.identifiers import Digest, RobotId
@@ -37,6 +37,7 @@ from authguard_r.sim.example import bundled_hospital
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert, read_site, read_text, read_yaml
 from authguard_r.store.sqlite import read_rows
+from authguard_r.wire.output import emit
 
 RID = RobotId("courier-1")
 

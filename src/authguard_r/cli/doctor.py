@@ -18,13 +18,13 @@ from authguard_r.cli.doctor_ros import RosParts, ros_advice
 from authguard_r.cli.gate_config import open_config
 from authguard_r.cli.gate_peers import user_number
 from authguard_r.cli.inputs import JsonFlag, load_site, read_binding, wall_now
-from authguard_r.cli.out import emit
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.keys.trust import read_trust
 from authguard_r.operations.checkup import GateSetup, checkup, is_safe
 from authguard_r.operations.checkup.advice import Advice, AdviceCode, Level, unsafe, warning
 from authguard_r.site.check import unreviewed
 from authguard_r.site.model import Site
+from authguard_r.wire.output import emit
 
 T = TypeVar("T")
 

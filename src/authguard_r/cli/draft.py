@@ -29,11 +29,11 @@ from authguard_r.cli.model_server import (
     ModelOption,
     TimeoutOption,
 )
-from authguard_r.cli.out import emit
 from authguard_r.core.errors import MalformedError, shown
 from authguard_r.keys.files import PRIVATE, write_whole
 from authguard_r.normalize.parse import read_json
 from authguard_r.site.source import convert, read_text
+from authguard_r.wire.output import emit
 
 
 class ProposerName(StrEnum):

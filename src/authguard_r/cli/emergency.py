@@ -19,7 +19,6 @@ from authguard_r.authoring.compile.units import to_integer
 from authguard_r.cli.gateway import GateOption, ProofOption, ReadingRole, connected
 from authguard_r.cli.inputs import JsonFlag, NowOption, SiteOption, load_site, wall_now
 from authguard_r.cli.orders import signer_of
-from authguard_r.cli.out import emit
 from authguard_r.cli.sign import sign_shown
 from authguard_r.cli.signing_key import PassphraseFile, require_role
 from authguard_r.core.encoding import Tag
@@ -52,6 +51,7 @@ from authguard_r.keys.files import write_whole
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.site.model import Site, profile_digest, site_digest
 from authguard_r.site.source import convert, read_text, read_yaml
+from authguard_r.wire.output import emit
 
 app = typer.Typer(help="What a robot may do in an emergency.", no_args_is_help=True)
 policy_app = typer.Typer(help="The signed policy.", no_args_is_help=True)

@@ -9,12 +9,12 @@ from typing import Annotated
 import typer
 
 from authguard_r.cli.inputs import JsonFlag, TrustOption, wall_now
-from authguard_r.cli.out import emit
 from authguard_r.cli.robot import RunOption
 from authguard_r.cli.signing_key import PassphraseFile, open_signer
 from authguard_r.core.identifiers import RobotId, is_identifier
 from authguard_r.keys.key_access import require_estimator
 from authguard_r.keys.trust import read_trust
+from authguard_r.wire.output import emit
 
 
 def estimator_command(

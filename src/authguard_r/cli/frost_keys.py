@@ -21,7 +21,6 @@ from authguard_r.cli.frost_files import (
     require_absent,
     store,
 )
-from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import ask_new_passphrase, passphrase_of
 from authguard_r.core.errors import EnvironmentFault, MalformedError, RefusedError
 from authguard_r.core.identifiers import RegionId, RobotId
@@ -44,6 +43,7 @@ from authguard_r.keys.ed25519 import public_key as ed25519_key
 from authguard_r.keys.envelope import is_sealed, seal
 from authguard_r.keys.key_access import read_passphrase
 from authguard_r.keys.trust import read_certificates, read_file
+from authguard_r.wire.output import emit
 
 #: What a group may be: it answers, and issues nothing.
 ROLES = (Role.SUPERVISOR, Role.SAFETY_OFFICER)

@@ -29,7 +29,6 @@ from authguard_r.cli.frost_files import (
 from authguard_r.cli.gateway import ReadingRole, connected
 from authguard_r.cli.inputs import wall_now
 from authguard_r.cli.offline import OfflineStore, offline
-from authguard_r.cli.out import emit, printed
 from authguard_r.cli.sign import trust_folder_of
 from authguard_r.client.approvals import shown, the_one
 from authguard_r.core.approval import Approval, ApprovalVerdict
@@ -61,6 +60,7 @@ from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.server.approval_requests import OpenQuestions
 from authguard_r.server.wiring import Gate
 from authguard_r.wire.approval_request import Question
+from authguard_r.wire.output import emit, printed
 
 
 class GroupSigner(Struct, frozen=True):

@@ -1,19 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`authguard gate`: the one process that holds a robot's controller and store."""
+"""`authguard gate`: check the set-up of one robot's gate, then become its process."""
 
 from __future__ import annotations
 
 import os
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import msgspec
 import typer
 
-from authguard_r.access.gate_config import GateConfig, open_gate_config
-from authguard_r.anchoring.anchor import read_counter
-from authguard_r.anchoring.counter import Counter, FileCounter
+from authguard_r.access.files import trusted_site
 from authguard_r.cli.inputs import (
     BindingOption,
     JsonFlag,
@@ -21,28 +19,14 @@ from authguard_r.cli.inputs import (
     SiteOption,
     TrustOption,
     gate_robot,
-    load_site,
-    read_binding,
-    read_risk_policy,
-    wall_now,
 )
-from authguard_r.cli.out import emit
 from authguard_r.core.errors import EnvironmentFault
-from authguard_r.core.identifiers import RobotId
-from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
-from authguard_r.enforcement.emergency.opened import open_emergency
-from authguard_r.estop.files import EStopFiles
-from authguard_r.keys.clock_floor import boot_ms, token_ms
-from authguard_r.keys.signer import FileSigner, folder_signer, read_signer
-from authguard_r.keys.trust import Trust, read_file, read_trust
+from authguard_r.keys.signer import read_signer
+from authguard_r.keys.trust import read_trust
 from authguard_r.normalize.shipped import shipped_interface
 from authguard_r.operations.checkup import GateSetup, require_safe
-from authguard_r.safety import SafetyConfig, default_config, open_config
-from authguard_r.server.parts import EmergencyParts, GateParts, SimulatedRobot
-from authguard_r.server.process import Rendezvous, run_gate
-from authguard_r.site.model import Site
-from authguard_r.store.clocks import committed_ms
+from authguard_r.server.files import GateFiles, open_parts, start_time
 
 _ConfigOption = Annotated[
     Path, typer.Option("--config", help="The signed gate configuration (`gate-config`).")
@@ -96,82 +80,89 @@ def gate_command(
     demo: _DemoOption = False,
     simulate: _SimulateOption = False,
     as_json: JsonFlag = False,
-) -> int:
+) -> NoReturn:
     """Hold one robot's controller and store, and serve its clients until SIGTERM.
 
     Everything that reaches the robot goes through this process. `authguard status` looks at it,
     `authguard stop` stops the robot whatever this process does.
     """
-    anchor, kept = read_trust(trust), None if counter is None else FileCounter(counter)
-    model = load_site(site, anchor, now := _boot(anchor, store, kept, config))
-    rid = _possible(model, gate_robot(trust, robot), simulate=simulate, demo=demo and anchor.demo)
-    key, cert, signer = _identity(trust, rid, key, cert)
-    signed = open_gate_config(read_file(config), verifier=anchor, now=now, robot=rid)
-    setup = GateSetup(
-        demo=demo and anchor.demo,
-        uid=os.geteuid(),
-        trust=trust,
-        key=key,
-        chain=cert,
-        site=model,
-        binding=(tools := read_binding(binding, model)),
-        model=site,
-        tools=binding,
-        config=signed,
-        store=store,
-        run=make_run(run),
-        counter=counter,
-        journal=emergency_journal,
-        interface=shipped_interface(str(binding)) or (),
-        files=(site, binding, config, *filter(None, (safety, risk_policy, emergency))),
-    )
-    require_safe(setup, now)
-    files = EStopFiles(run=run, robot=rid, trust=trust, key=key, cert=cert, config=config)
-    parts = GateParts(
-        emergency=_emergency((emergency, emergency_journal), anchor, model, rid=rid, now=now),
-        run=run,
-        trust=anchor,
-        signer=signer,
-        site=model,
-        binding=tools,
-        safety=_safety(safety, anchor, model, rid=rid, now=now),
-        config=signed,
-        store=store,
-        lane=None if simulate else files,
-        journal=sys.stderr.fileno(),
+    if emergency is None and emergency_journal is not None:
+        raise typer.BadParameter("needs --emergency-policy", param_hint="--emergency-journal")
+    rid = gate_robot(trust, robot)
+    key, cert = _identity(trust, rid, key, cert)
+    files = GateFiles(
+        robot=rid,
+        trust=str(trust),
+        site=str(site),
+        binding=str(binding),
+        config=str(config),
+        store=str(store),
+        run=str(run),
+        key=str(key),
+        cert=str(cert),
+        safety=_text(safety),
+        risk_policy=_text(risk_policy),
+        emergency=_text(emergency),
+        emergency_journal=_text(emergency_journal),
+        counter=_text(counter),
         demo=demo,
-        key=key,
-        simulated=_symbolic(trust, model, rid) if simulate else None,
-        risk=read_risk_policy(risk_policy, anchor, now),
-        counter=kept,
+        simulate=simulate,
     )
-    run_gate(parts, lambda told: _ready(told, signed, as_json=as_json))
-    return 0
+    check_setup(files)
+    become_gate(files, as_json=as_json)
 
 
-def _boot(trust: Trust, store: Path, counter: Counter | None, config: Path) -> Now:
-    """Return the machine's clock; where it has none yet, the latest time that is known to be over.
+def check_setup(files: GateFiles) -> None:
+    """Check everything that a gate reads; the gate's process reads it again and trusts no check.
 
-    The gate then serves stops, and refuses the rest until somebody sets the clock.
+    Raises:
+        BadParameter: an option that cannot be.
+        AuthGuardError: a part that cannot be used, or an unsafe set-up.
     """
-    wall, counted = wall_now(None).utc_ms, read_counter(counter, verifier=trust)
-    known_ms = (committed_ms(store), counted.time_ms, token_ms(read_file(config)))
-    return Now(boot_ms(wall, trust, *known_ms), 0)
-
-
-def _possible(site: Site, rid: RobotId, *, simulate: bool, demo: bool) -> RobotId:
-    """Return the robot, if the site knows it and it may be tried out as it was asked for."""
-    if rid not in site.robots:
-        raise typer.BadParameter(f"the site has no robot `{rid}`", param_hint="--robot")
-    if simulate and not demo:
+    trust = read_trust(Path(files.trust))
+    now = start_time(files, trust)
+    if files.robot not in trusted_site(Path(files.site), trust, now).robots:
+        raise typer.BadParameter(f"the site has no robot `{files.robot}`", param_hint="--robot")
+    if files.simulate and not (files.demo and trust.demo):
         raise typer.BadParameter(
             "only with --demo and a root that says `demo`", param_hint="--simulate"
         )
-    return rid
+    read_signer(Path(files.key), Path(files.cert))
+    _make_run(Path(files.run))
+    parts = open_parts(files)
+    believed = (files.site, files.binding, files.config)
+    signed = filter(None, (files.safety, files.risk_policy, files.emergency))
+    setup = GateSetup(
+        demo=files.demo and trust.demo,
+        uid=os.geteuid(),
+        trust=Path(files.trust),
+        key=Path(files.key),
+        chain=Path(files.cert),
+        site=parts.site,
+        binding=parts.binding,
+        model=Path(files.site),
+        tools=Path(files.binding),
+        config=parts.config,
+        store=parts.store,
+        run=parts.run,
+        counter=_path(files.counter),
+        journal=_path(files.emergency_journal),
+        interface=shipped_interface(files.binding) or (),
+        files=tuple(map(Path, (*believed, *signed))),
+    )
+    require_safe(setup, now)
 
 
-def make_run(run: Path) -> Path:
-    """Return the folder for the sockets, made if it was absent.
+def become_gate(files: GateFiles, *, as_json: bool) -> NoReturn:
+    """Replace this program by the gate's process, which keeps its process id."""
+    sys.stdout.flush()
+    told = msgspec.json.encode(files).decode()
+    words = [sys.executable, "-P", "-m", "authguard_r.server.main", told]
+    os.execv(sys.executable, words + ["--json"] * as_json)  # noqa: S606 - our own program
+
+
+def _make_run(run: Path) -> None:
+    """Make the folder for the sockets if it is absent.
 
     Raises:
         EnvironmentFault: something else is there.
@@ -183,63 +174,19 @@ def make_run(run: Path) -> Path:
             where="--run",
         )
     run.mkdir(parents=True, exist_ok=True, mode=0o750)
-    return run
 
 
-def _identity(
-    trust: Path, rid: RobotId, key: Path | None, cert: Path | None
-) -> tuple[Path, Path, FileSigner]:
-    """Return the gate's key and certificates, those named or the demo folder's, and both read."""
+def _identity(trust: Path, rid: str, key: Path | None, cert: Path | None) -> tuple[Path, Path]:
+    """Return the files of the gate's key and certificates: those named, or the trust folder's."""
     if (key is None) is not (cert is None):
         raise typer.BadParameter("--key and --cert go together", param_hint="--key")
     name = trust / "keys" / f"gate-{rid}"
-    key, cert = key or Path(f"{name}.key.pem"), cert or Path(f"{name}.cert.pem")
-    return key, cert, read_signer(key, cert)
+    return key or Path(f"{name}.key.pem"), cert or Path(f"{name}.cert.pem")
 
 
-def _safety(path: Path | None, trust: Trust, site: Site, *, rid: RobotId, now: Now) -> SafetyConfig:
-    """Return the signed configuration; without one, the profile's envelope beside a demo root."""
-    if path is not None:
-        return open_config(read_file(path), verifier=trust, now=now)
-    if not trust.demo:
-        raise EnvironmentFault(
-            "expected a safety officer's signed configuration outside demonstration",
-            reason=Reason.SIGNATURE_INVALID,
-            where="--safety",
-        )
-    return default_config(site, rid)
+def _text(path: Path | None) -> str | None:
+    return None if path is None else str(path)
 
 
-def _emergency(
-    paths: tuple[Path | None, Path | None], trust: Trust, site: Site, *, rid: RobotId, now: Now
-) -> EmergencyParts | None:
-    """Return the signed policy and where its journal is; without one only stops need no mission."""
-    path, journal = paths
-    if path is None and journal is not None:
-        raise typer.BadParameter("needs --emergency-policy", param_hint="--emergency-journal")
-    if path is None:
-        return None
-    opened = open_emergency(read_file(path), verifier=trust, now=now, site=site, robot=rid)
-    return EmergencyParts(policy=opened, journal=journal)
-
-
-def _symbolic(trust: Path, site: Site, rid: RobotId) -> SimulatedRobot:
-    from authguard_r.sim.robot import SymbolicRobot
-    from authguard_r.sim.world import initial_state
-
-    now = wall_now(None).utc_ms
-    return SymbolicRobot(
-        site,
-        rid,
-        initial_state(site, site.robots[rid].home),
-        estimator=folder_signer(trust, f"estimator-{rid}"),
-        start_ms=now,
-        epoch=now,
-    )
-
-
-def _ready(told: Rendezvous, config: GateConfig, *, as_json: bool) -> None:
-    shadow = "; SHADOW MODE: nothing is released" if config.mode == "shadow" else ""
-    line = f"{told.robot}: serving at {told.socket} (pid {told.pid}){shadow}"
-    payload = {"ready": True, "mode": str(config.mode), **msgspec.to_builtins(told)}
-    emit(payload, [line], as_json=as_json)
+def _path(text: str | None) -> Path | None:
+    return None if text is None else Path(text)

@@ -31,7 +31,6 @@ from authguard_r.authoring.compile.draft import Quantity
 from authguard_r.authoring.compile.units import to_integer
 from authguard_r.cli.gate_peers import everybody, mediators_of, peers_of, user_number
 from authguard_r.cli.inputs import JsonFlag, NowOption, wall_now
-from authguard_r.cli.out import emit
 from authguard_r.cli.readers_form import (
     RetentionForm,
     reader_named,
@@ -56,6 +55,7 @@ from authguard_r.operations.checkup.users import config_advice, user_advice, use
 from authguard_r.site.source import convert, read_text, read_yaml
 from authguard_r.wire.disclosure import Disclosure
 from authguard_r.wire.messages import ClientRole, Mode
+from authguard_r.wire.output import emit
 
 app = typer.Typer(help="A gate's signed configuration: who may be what.", no_args_is_help=True)
 _SIGNER = "site-authority-1"

@@ -16,7 +16,7 @@ from authguard_r.audit.verify import LogRow
 from authguard_r.cli.audit import StoreArgument
 from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.log_reading import reading
-from authguard_r.cli.out import emit
+from authguard_r.wire.output import emit
 
 _HEAD = ("mission", "records", "decisions", "bytes", "bytes/decision", "share")
 

@@ -14,10 +14,10 @@ from authguard_r.authoring.keys.setup import demo_members, init_folder
 from authguard_r.authoring.onboarding.listing import MAX_LIST, Source, list_text
 from authguard_r.authoring.onboarding.skeleton import Skeleton, make_skeleton
 from authguard_r.cli.inputs import JsonFlag
-from authguard_r.cli.out import emit
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.identifiers import RobotId, is_identifier
 from authguard_r.core.reasons import Reason
+from authguard_r.wire.output import emit
 
 
 def init_command(

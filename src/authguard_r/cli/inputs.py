@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import msgspec
 import typer
 
+from authguard_r.access.files import given_binding, trusted_site
 from authguard_r.approvals.organization import VerifiedPolicy, open_policy
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag
@@ -23,7 +24,6 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.state import AttestedState, Snapshot, attest
 from authguard_r.core.token import VerifiedMission, open_token, read_token, verify_mission
 from authguard_r.enforcement.inputs import ESTIMATOR_ROLES, ISSUER_ROLES
-from authguard_r.integrations.tools.files import given_binding, trusted_site
 from authguard_r.keys.trust import Trust, read_file, read_trust
 from authguard_r.normalize.binding import Binding
 from authguard_r.normalize.parse import read_json

@@ -12,7 +12,6 @@ import typer
 from authguard_r.authoring.compile.units import to_integer
 from authguard_r.cli.inputs import JsonFlag, NowOption, wall_now
 from authguard_r.cli.mission_files import mission_digest, warn
-from authguard_r.cli.out import emit
 from authguard_r.cli.sign import trust_folder_of
 from authguard_r.cli.signing_key import PassphraseFile, open_signer
 from authguard_r.cli.templates import SignedTemplate, read_template, template_digest
@@ -33,6 +32,7 @@ from authguard_r.enforcement.templates.template import HoleName, Value
 from authguard_r.keys.files import PRIVATE, write_whole
 from authguard_r.keys.signer import FileSigner
 from authguard_r.keys.trust import read_trust
+from authguard_r.wire.output import emit
 
 app = typer.Typer(help="Instances of signed templates.", no_args_is_help=True)
 

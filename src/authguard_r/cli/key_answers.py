@@ -34,7 +34,6 @@ from authguard_r.cli.key_requests import (
     wanted_json,
     wanted_of,
 )
-from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile, open_signer, passphrase_of
 from authguard_r.core.errors import AuthenticityError, RefusedError
 from authguard_r.core.reasons import Reason
@@ -42,6 +41,7 @@ from authguard_r.keys.algorithms import Algorithm
 from authguard_r.keys.files import write_whole
 from authguard_r.keys.loading import load
 from authguard_r.keys.trust import read_certificates, read_file, read_trust
+from authguard_r.wire.output import emit
 
 #: Days until the next update of a list, unless somebody says otherwise.
 LIST_DAYS = 30

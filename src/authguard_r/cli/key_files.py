@@ -10,7 +10,6 @@ import typer
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from authguard_r.cli.inputs import JsonFlag
-from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import (
     PassphraseFile,
     ask_new_passphrase,
@@ -25,6 +24,7 @@ from authguard_r.keys.key_access import read_passphrase
 from authguard_r.keys.pkcs11 import TokenKey
 from authguard_r.keys.signer import read_keys
 from authguard_r.keys.trust import read_file
+from authguard_r.wire.output import emit
 
 KeyFile = Annotated[Path, typer.Argument(metavar="KEYFILE", help="A file of private keys.")]
 KeyOut = Annotated[

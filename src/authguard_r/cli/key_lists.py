@@ -24,7 +24,6 @@ from authguard_r.authoring.keys.revoking import renew_lists, revoke
 from authguard_r.cli.gateway import GATE_SOCKET, GateOption, connect_as, socket_in
 from authguard_r.cli.inputs import JsonFlag, wall_now
 from authguard_r.cli.key_answers import LIST_DAYS
-from authguard_r.cli.out import emit, emit_error, exit_code
 from authguard_r.cli.signing_key import PassphraseFile, passphrase_of
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.quantities import Now, to_timestamp
@@ -40,6 +39,7 @@ from authguard_r.keys.trust import (
     read_trust,
 )
 from authguard_r.wire.messages import ClientRole
+from authguard_r.wire.output import emit, emit_error, exit_code
 
 app = typer.Typer(help="Revocation lists, where they count.", no_args_is_help=True)
 FolderArgument = Annotated[Path, typer.Argument(help="The authority's folder.")]

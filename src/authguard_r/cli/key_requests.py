@@ -23,7 +23,6 @@ from authguard_r.authoring.keys.request import (
     open_request,
 )
 from authguard_r.cli.inputs import JsonFlag, TrustOption, load_site, wall_now
-from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile, open_keys, open_signer
 from authguard_r.cli.templates import read_template, template_digest
 from authguard_r.core.errors import EnvironmentFault
@@ -35,6 +34,7 @@ from authguard_r.keys.files import write_keys, write_whole
 from authguard_r.keys.signer import FileSigner
 from authguard_r.keys.trust import ROOT_LISTS, pairs, read_certificates, read_trust
 from authguard_r.site.model import profile_digest
+from authguard_r.wire.output import emit
 
 KEY_END, CERTIFICATE_END, REQUEST_END = ".key.pem", ".cert.pem", ".request.json"
 

@@ -12,10 +12,10 @@ import typer
 from authguard_r.authoring.keys.setup import AUTHORITIES, demo_members, init_folder
 from authguard_r.cli.inputs import JsonFlag, load_site
 from authguard_r.cli.key_answers import init_authorities
-from authguard_r.cli.out import emit
 from authguard_r.core.identifiers import RobotId
 from authguard_r.keys.algorithms import Algorithm
 from authguard_r.sim.example import bundled_hospital
+from authguard_r.wire.output import emit
 
 #: What `--algorithm` takes; the algorithms that then have to sign, each under a root of its own.
 _CHOICES: dict[str, tuple[Algorithm, ...]] = {

@@ -18,11 +18,11 @@ from authguard_r.authoring.onboarding.pages import LearnedProposals, propose, ra
 from authguard_r.cli.inputs import JsonFlag, SiteOption, load_site, read_binding
 from authguard_r.cli.log_reading import strange
 from authguard_r.cli.logs import open_log
-from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile
 from authguard_r.cli.unsealing import ReaderOption, opening_of
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.reasons import Reason
+from authguard_r.wire.output import emit
 
 _SQLITE = b"SQLite format 3\x00"
 #: How many reasons for leaving records out are printed; `--json` has every one.

@@ -14,8 +14,8 @@ from typing import Any
 
 import typer
 
-from authguard_r.cli.out import exit_code, printed
 from authguard_r.core.errors import AuthGuardError
+from authguard_r.wire.output import exit_code, printed
 
 #: Records between two signs of life.
 _EVERY = 1_000

@@ -22,7 +22,6 @@ from authguard_r.auditor.claims import claimed_mission
 from authguard_r.cli.audit import StoreArgument
 from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.log_reading import reading
-from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile
 from authguard_r.cli.unsealing import ReaderOption, opening_of
 from authguard_r.core.encoding import Tag, digest_of
@@ -30,6 +29,7 @@ from authguard_r.core.errors import AuthGuardError, EnvironmentFault, RefusedErr
 from authguard_r.core.mission import Mission
 from authguard_r.core.reasons import Reason
 from authguard_r.server.explanation import explanation, is_refused_proposal, no_record
+from authguard_r.wire.output import emit
 
 #: Releases that an outcome may be the end of; more than any robot has open.
 _OPEN = 1_024

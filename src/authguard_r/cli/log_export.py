@@ -25,13 +25,13 @@ from authguard_r.cli.audit import StoreArgument
 from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.log_reading import reading
 from authguard_r.cli.logs import ReadableLog
-from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile
 from authguard_r.cli.unsealing import LogOpening, ReaderOption, opening_of
 from authguard_r.core.encoding import b64, encode_fast
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
+from authguard_r.wire.output import emit
 
 #: With one of these at its beginning a cell is a formula to some spreadsheet; four are full-width.
 _FORMULA = (*"=+-@|%\t\r\n", *"\uff1d\uff0b\uff0d\uff20")

@@ -10,10 +10,10 @@ import typer
 
 from authguard_r.audit.note import NoteKey
 from authguard_r.cli.inputs import JsonFlag, TrustOption, gate_robot, wall_now
-from authguard_r.cli.out import emit
 from authguard_r.core.identifiers import RobotId
 from authguard_r.keys.notes import gate_keys
 from authguard_r.keys.trust import ROOT_LISTS, read_certificates, read_trust
+from authguard_r.wire.output import emit
 
 
 def key_command(

@@ -21,13 +21,13 @@ from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.log_anchors import AnchorOptions, KnownLog, known_of
 from authguard_r.cli.log_reading import reading
 from authguard_r.cli.logs import ReadableLog
-from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile
 from authguard_r.cli.unsealing import EnvelopeCheck, ReaderOption, opening_of
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.keys.signer import gate_name
+from authguard_r.wire.output import emit
 
 #: Most processes that somebody can ask for.
 _MOST_ASKED = 64

@@ -20,11 +20,11 @@ from authguard_r.cli.inputs import (
     load_site,
     read_binding,
 )
-from authguard_r.cli.out import emit
 from authguard_r.core.identifiers import RobotId
 from authguard_r.keys.files import write_whole
 from authguard_r.keys.trust import read_trust
 from authguard_r.normalize.dialects import Call
+from authguard_r.wire.output import emit
 
 RunOption = Annotated[Path, typer.Option("--run", help="The gate's run folder.")]
 

@@ -12,7 +12,7 @@ import typer
 
 from authguard_r.cli.gateway import GateOption, ProofOption, ReadingRole, RoleOption, connected
 from authguard_r.cli.inputs import JsonFlag
-from authguard_r.cli.out import emit
+from authguard_r.wire.output import emit
 
 
 def metrics_command(

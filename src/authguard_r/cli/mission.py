@@ -30,7 +30,7 @@ from authguard_r.cli.inputs import (
     wall_now,
 )
 from authguard_r.cli.mission_files import lint_json, mission_digest, read_unverified
-from authguard_r.cli.out import emit, risk_policy_json
+from authguard_r.cli.out import risk_policy_json
 from authguard_r.cli.sign import sign_command
 from authguard_r.core.encoding import Tag, b64, decode, digest, encode, unb64
 from authguard_r.core.mission import Mission
@@ -39,6 +39,7 @@ from authguard_r.keys.files import PRIVATE, write_whole
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.site.formatting import row_words
 from authguard_r.site.source import read_text, read_yaml
+from authguard_r.wire.output import emit
 
 app = typer.Typer(help="Missions: from a draft to signed authority and back.", no_args_is_help=True)
 MissionArgument = Annotated[Path, typer.Argument(help="A mission as `compile` wrote it.")]

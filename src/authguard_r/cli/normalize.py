@@ -30,7 +30,6 @@ from authguard_r.cli.model_server import (
     ModelOption,
     OptionalTimeoutOption,
 )
-from authguard_r.cli.out import emit
 from authguard_r.core.action import Action, ActionMeta
 from authguard_r.core.encoding import Tag, digest
 from authguard_r.core.errors import AuthGuardError, ClarificationError, MalformedError
@@ -45,6 +44,7 @@ from authguard_r.normalize import Binder, Dialect, Plan, normalize
 from authguard_r.normalize.parse import read_json
 from authguard_r.provenance.context import ContextLedger
 from authguard_r.provenance.labels import label_fields
+from authguard_r.wire.output import emit
 
 _TokenOption = Annotated[
     Path | None, typer.Option("--token", help="The mission that labels are worked out for.")

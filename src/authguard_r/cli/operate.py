@@ -16,11 +16,11 @@ from authguard_r.cli.log_explain import DraftOption, explained, write_change
 from authguard_r.cli.log_reading import strange
 from authguard_r.cli.mission import TokenArgument
 from authguard_r.cli.orders import CertOption, KeyOption, TemplateOption, signed_order
-from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.store.sqlite import read_rows
+from authguard_r.wire.output import emit
 
 #: How much of a digest a line shows; `--json` has all of it.
 _SHORT = 12

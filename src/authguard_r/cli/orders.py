@@ -28,7 +28,6 @@ from authguard_r.cli.inputs import (
 from authguard_r.cli.mission import TokenArgument, app
 from authguard_r.cli.mission_files import beside_token, warn
 from authguard_r.cli.offline import CounterOption, NewOption, OfflineStore, offline
-from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile, open_signer
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.identifiers import Digest, GrantId
@@ -42,6 +41,7 @@ from authguard_r.keys.signer import FileSigner, folder_signer
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.site import formatting
 from authguard_r.site.model import Site
+from authguard_r.wire.output import emit
 
 T = TypeVar("T")
 StoreOption = Annotated[Path, typer.Option("--store", help="The robot's store.")]

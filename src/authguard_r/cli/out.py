@@ -8,17 +8,12 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterable
 from typing import Any
 
 from authguard_r.approvals.organization import VerifiedPolicy
 from authguard_r.core.decision import Decision, Verdict
 from authguard_r.core.errors import (
-    AuthenticityError,
-    AuthGuardError,
     ClarificationError,
-    MalformedError,
-    RefusedError,
     shown,
 )
 from authguard_r.core.finding import Finding
@@ -26,31 +21,6 @@ from authguard_r.core.standing import Outcome
 from authguard_r.enforcement.report import Judged, Report
 from authguard_r.provenance.context import Influence
 from authguard_r.provenance.mentions import MentionMatch
-
-
-def emit(payload: dict[str, Any], lines: Iterable[str], *, as_json: bool) -> None:
-    """Print one JSON object, or the lines."""
-    if as_json:
-        sys.stdout.write(json.dumps(payload) + "\n")
-    else:
-        sys.stdout.write("".join(f"{printed(line)}\n" for line in lines))
-    sys.stdout.flush()
-
-
-def printed(lines: str) -> str:
-    """Return text without control characters; nothing is cut, and line breaks stay."""
-    return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in lines)
-
-
-def emit_error(reason: str, message: str, where: str, *, as_json: bool, code: int) -> int:
-    """Print an error where it belongs and return the exit code."""
-    if as_json:
-        error = {"code": str(reason), "message": message, "where": where}
-        sys.stdout.write(json.dumps({"error": error}) + "\n")
-    else:
-        place = f" (at {where})" if where else ""
-        sys.stderr.write(f"{shown(reason)}: {shown(message)}{shown(place)}\n")
-    return code
 
 
 def emit_clarification(error: ClarificationError, *, as_json: bool) -> int:
@@ -69,17 +39,6 @@ def emit_clarification(error: ClarificationError, *, as_json: bool) -> int:
             sys.stderr.write(f"{e.reason}: {e.message} (at {e.where})\n")
             sys.stderr.writelines(f"  {shown(candidate)}\n" for candidate in e.candidates)
     return 3
-
-
-def exit_code(error: AuthGuardError) -> int:
-    """Return the exit code of an error."""
-    if isinstance(error, RefusedError):
-        return 1
-    if isinstance(error, ClarificationError):
-        return 3
-    if isinstance(error, MalformedError | AuthenticityError):
-        return 4
-    return 5
 
 
 def decision_lines(judged: Judged) -> list[str]:

@@ -16,13 +16,13 @@ from authguard_r.cli.audit import StoreArgument
 from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.log_reading import strange
 from authguard_r.cli.logs import ReadableLog, open_log
-from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile
 from authguard_r.cli.unsealing import ReaderOption, opening_of
 from authguard_r.core.encoding import decode
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.standing import Standing
 from authguard_r.store.sqlite import read_held
+from authguard_r.wire.output import emit
 
 
 def prompts_command(

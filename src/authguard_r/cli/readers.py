@@ -14,7 +14,6 @@ from typing import Annotated, Any
 import typer
 
 from authguard_r.cli.inputs import JsonFlag
-from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile, ask_new_passphrase, passphrase_of
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.mission import DataClass
@@ -23,6 +22,7 @@ from authguard_r.keys.envelope import seal
 from authguard_r.keys.files import write_whole
 from authguard_r.keys.key_access import read_passphrase
 from authguard_r.keys.readers import ReaderPublic, new_reader, read_reader
+from authguard_r.wire.output import emit
 
 
 def reader_command(

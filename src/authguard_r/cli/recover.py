@@ -15,7 +15,6 @@ from authguard_r.cli.ask import confirm_shown
 from authguard_r.cli.gateway import GateOption, ReadingRole, connected
 from authguard_r.cli.inputs import JsonFlag, wall_now
 from authguard_r.cli.orders import ORDER_MS, CertOption, KeyOption
-from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile, open_signer
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import MalformedError, RefusedError
@@ -24,6 +23,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
 from authguard_r.enforcement.signed_orders import Command, StoreClaim, Verb
 from authguard_r.keys.signer import FileSigner, folder_signer
+from authguard_r.wire.output import emit
 
 #: What else than a witness knows how far the log had come.
 _PLACES = {BY_COUNTER: "the counter", BY_STORE: "its own checkpoint"}

@@ -25,7 +25,6 @@ from authguard_r.authoring.compile.names import names_of
 from authguard_r.authoring.compile.questions import CompileQuestions
 from authguard_r.authoring.compile.totals import build_risk
 from authguard_r.cli.inputs import JsonFlag, NowOption, load_site, wall_now
-from authguard_r.cli.out import emit
 from authguard_r.cli.sign import sign_shown
 from authguard_r.cli.signing_key import PassphraseFile, open_signer, require_role
 from authguard_r.core.encoding import Tag
@@ -37,6 +36,7 @@ from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.site import formatting
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert, read_text, read_yaml
+from authguard_r.wire.output import emit
 
 app = typer.Typer(
     help="The organization's risk policy: what no operator can sign away.", no_args_is_help=True

@@ -10,13 +10,13 @@ from typing import Annotated
 import typer
 
 from authguard_r.cli.inputs import JsonFlag, SiteOption, TrustOption, load_site
-from authguard_r.cli.out import emit
 from authguard_r.core.identifiers import ObjectId, RegionId, RobotId
 from authguard_r.keys.trust import read_trust
 from authguard_r.sim.robot import Faults, SymbolicRobot
 from authguard_r.sim.state import WorldState
 from authguard_r.sim.world import initial_state, taken
 from authguard_r.site.model import Site
+from authguard_r.wire.output import emit
 
 RunOption = Annotated[Path, typer.Option("--run", help="The folder with the sockets.")]
 #: What may go wrong, and whether it takes a number.

@@ -16,11 +16,11 @@ import typer
 from msgspec import to_builtins
 
 from authguard_r.cli.inputs import JsonFlag, load_site, read_binding
-from authguard_r.cli.out import emit
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.integrations.ros.calls import fitted
 from authguard_r.integrations.ros.map import RosMap, read_map
+from authguard_r.wire.output import emit
 
 if TYPE_CHECKING:
     from authguard_r.integrations.ros.keycheck import KeystoreFault

@@ -36,7 +36,7 @@ from authguard_r.cli.inputs import (
     wall_now,
 )
 from authguard_r.cli.offline import CounterOption, counter_of
-from authguard_r.cli.out import emit, report_code, report_lines
+from authguard_r.cli.out import report_code, report_lines
 from authguard_r.core.encoding import Tag, b64, decode, digest, unb64
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import Identifier, MissionId, ObjectId, RegionId
@@ -68,6 +68,7 @@ from authguard_r.sim.state import WorldState
 from authguard_r.sim.world import initial_state
 from authguard_r.site.model import Site
 from authguard_r.store.clocks import store_clock
+from authguard_r.wire.output import emit
 
 PLANNER = "planner"
 

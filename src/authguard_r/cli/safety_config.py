@@ -14,7 +14,6 @@ import typer
 from msgspec import to_builtins
 
 from authguard_r.cli.inputs import JsonFlag, NowOption, SiteOption, load_site, wall_now
-from authguard_r.cli.out import emit
 from authguard_r.cli.safety_form import SafetyForm, own_envelope, read_form, written
 from authguard_r.cli.sign import sign_shown
 from authguard_r.cli.signing_key import PassphraseFile, open_signer, require_role
@@ -29,6 +28,7 @@ from authguard_r.safety.signed import CONFIG_ROLES
 from authguard_r.server.process import ASKED_MS
 from authguard_r.site.formatting import quantity, quoted
 from authguard_r.site.source import convert, read_text, read_yaml
+from authguard_r.wire.output import emit
 
 app = typer.Typer(help="A robot's signed safety configuration.", no_args_is_help=True)
 TrustChoice = Annotated[Path | None, typer.Option("--trust", help="The trust folder.")]

@@ -18,7 +18,6 @@ from authguard_r.audit.note import NoteKey, read_key, read_note
 from authguard_r.audit.tree import Frontier, leaf_hash
 from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.log_reading import strange
-from authguard_r.cli.out import emit
 from authguard_r.core.chain import GENESIS
 from authguard_r.core.encoding import b64
 from authguard_r.core.errors import StoreError
@@ -27,6 +26,7 @@ from authguard_r.keys.notes import require_all
 from authguard_r.store.folder import Folder
 from authguard_r.store.segments import MARK, SEGMENT, SegmentClaims, find, links, name_of
 from authguard_r.store.sqlite import read_held
+from authguard_r.wire.output import emit
 
 
 def segments_command(

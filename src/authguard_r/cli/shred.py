@@ -16,7 +16,6 @@ from authguard_r.cli.gateway import GateOption, ReadingRole, connected
 from authguard_r.cli.inputs import JsonFlag, gate_robot, wall_now
 from authguard_r.cli.offline import CounterOption, OfflineStore, offline
 from authguard_r.cli.orders import ORDER_MS, CertOption, KeyOption, RobotOption
-from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile, open_signer, require_role
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.identifiers import Digest, MissionId
@@ -26,6 +25,7 @@ from authguard_r.enforcement.management.shredding import ROLES
 from authguard_r.enforcement.signed_orders import Command, Verb
 from authguard_r.keys.signer import FileSigner, folder_signer
 from authguard_r.site.source import convert
+from authguard_r.wire.output import emit
 
 #: Who gives the order in a one-folder set-up.
 _DEMO = "site-authority-1"

@@ -28,7 +28,6 @@ from authguard_r.cli.mission_files import (
     read_unverified,
     warn,
 )
-from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile, open_signer, require_role
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import RefusedError
@@ -41,6 +40,7 @@ from authguard_r.enforcement.confirmation import ConfirmationMode, confirm, conf
 from authguard_r.enforcement.inputs import ISSUER_ROLES
 from authguard_r.keys.files import PRIVATE, write_whole
 from authguard_r.keys.signer import FileSigner
+from authguard_r.wire.output import emit
 
 _NO_SITE = "name the site with --site: nobody signs what was not shown"
 

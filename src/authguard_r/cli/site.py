@@ -24,7 +24,6 @@ from authguard_r.cli.inputs import (
     text_of,
     wall_now,
 )
-from authguard_r.cli.out import emit
 from authguard_r.cli.signing_key import PassphraseFile, open_signer
 from authguard_r.core.errors import MalformedError
 from authguard_r.keys.files import write_whole
@@ -41,6 +40,7 @@ from authguard_r.site.model import (
 from authguard_r.site.names import shown
 from authguard_r.site.places import adjacent
 from authguard_r.site.signed import read_signed_site, sign_site
+from authguard_r.wire.output import emit
 
 app = typer.Typer(help="The site model: what every word of a mission means.", no_args_is_help=True)
 import_app = typer.Typer(help="A draft site from another program's file.", no_args_is_help=True)

@@ -16,10 +16,10 @@ import typer
 from authguard_r.cli.gateway import CLIENT, GATE_SOCKET, STOP_SOCKET, GateOption, socket_in
 from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.offline import CounterOption, OfflineStore, offline
-from authguard_r.cli.out import emit
 from authguard_r.client.stopping import Answers, StopEverywhere, StopReply
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.wire.messages import ClientRole
+from authguard_r.wire.output import emit
 
 
 class StoppingRole(StrEnum):

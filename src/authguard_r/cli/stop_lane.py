@@ -10,8 +10,8 @@ import msgspec
 import typer
 
 from authguard_r.cli.inputs import JsonFlag, TrustOption
-from authguard_r.cli.out import emit
 from authguard_r.core.identifiers import RobotId
+from authguard_r.wire.output import emit
 
 
 def stop_lane_command(

@@ -43,7 +43,6 @@ from authguard_r.cli.orders import (
     managed,
     signer_of,
 )
-from authguard_r.cli.out import emit
 from authguard_r.cli.sign import (
     AcceptOption,
     IssuerCert,
@@ -80,6 +79,7 @@ from authguard_r.keys.files import PRIVATE, write_whole
 from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.site.source import read_text, read_yaml
+from authguard_r.wire.output import emit
 
 app = typer.Typer(help="Missions that are signed once and filled many times.", no_args_is_help=True)
 TemplateFile = Annotated[Path, typer.Argument(help="A template, compiled or signed.")]

@@ -25,11 +25,11 @@ from authguard_r.cli.gateway import (
 )
 from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.operate import status_lines
-from authguard_r.cli.out import emit, printed
 from authguard_r.client import AsyncGateClient
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.messages import ClientRole
+from authguard_r.wire.output import emit, printed
 
 #: The last event of a gate that ends by itself; one that is killed says nothing.
 ENDED = "end"

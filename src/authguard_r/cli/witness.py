@@ -11,7 +11,7 @@ import msgspec
 import typer
 
 from authguard_r.cli.inputs import JsonFlag, wall_now
-from authguard_r.cli.out import emit
+from authguard_r.wire.output import emit
 
 app = typer.Typer(
     help="A witness: cosigns a log's checkpoints, each only when it follows from the last.",

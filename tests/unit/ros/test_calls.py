@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 import yaml
 
+from authguard_r.access.files import given_binding
 from authguard_r.core.errors import MalformedError
 from authguard_r.integrations.ros.calls import body_of, bound, call_of, fitted, item_of
 from authguard_r.integrations.ros.map import RosMap, parse_map
-from authguard_r.integrations.tools.files import given_binding
 from authguard_r.normalize.binding import Binding, load_binding
 from authguard_r.normalize.dialects import Call
 from authguard_r.normalize.shipped import binding_source

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from authguard_r.access.files import given_binding, trusted_site
 from authguard_r.authoring.keys.setup import demo_members, init_folder
 from authguard_r.core.errors import AuthenticityError, MalformedError
 from authguard_r.core.quantities import Now
-from authguard_r.integrations.tools.files import given_binding, trusted_site
 from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
 from authguard_r.site.signed import sign_site

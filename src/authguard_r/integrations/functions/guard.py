@@ -19,6 +19,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, ParamSpec, Self, TypeVar, overload
 
+from authguard_r.access.files import given_binding, trusted_site
 from authguard_r.client.link import ProcessLog
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault, MalformedError
 from authguard_r.core.identifiers import RobotId
@@ -49,7 +50,6 @@ from authguard_r.integrations.functions.values import (
     words_of,
 )
 from authguard_r.integrations.tools.endpoints import START_S, Ends, GateTarget
-from authguard_r.integrations.tools.files import given_binding, trusted_site
 from authguard_r.integrations.tools.planner import CallOutcome, LostError
 from authguard_r.integrations.tools.server import CallError
 from authguard_r.keys.trust import read_trust

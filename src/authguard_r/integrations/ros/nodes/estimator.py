@@ -21,6 +21,7 @@ from pathlib import Path
 from msgspec import Struct
 from rclpy.node import Node
 
+from authguard_r.access.files import trusted_site
 from authguard_r.client.attesting import Attester, AttestingEnd, Measurement, aged
 from authguard_r.client.handshake import GateVerifier
 from authguard_r.client.link import ProcessLog, require_folder, run_all, until_told, wall_now
@@ -38,7 +39,6 @@ from authguard_r.integrations.ros.nodes.process import DEMO, plain_node, require
 from authguard_r.integrations.ros.position import MS, Fix, PositionTrack
 from authguard_r.integrations.ros.rights import ESTIMATOR_NODE
 from authguard_r.integrations.ros.security import require_security
-from authguard_r.integrations.tools.files import trusted_site
 from authguard_r.keys.key_access import open_named, read_passphrase, require_estimator
 from authguard_r.keys.signer import certified
 from authguard_r.keys.trust import read_trust

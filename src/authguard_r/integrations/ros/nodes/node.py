@@ -19,6 +19,7 @@ from typing import Any
 
 from rclpy.lifecycle import TransitionCallbackReturn
 
+from authguard_r.access.files import given_binding, trusted_site
 from authguard_r.client.link import ProcessLog
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.integrations.ros.map import RosMap, read_map
@@ -28,7 +29,6 @@ from authguard_r.integrations.ros.nodes.mediator import MediatorTarget
 from authguard_r.integrations.ros.nodes.process import DEMO, made_by_ros, require_bench, ros_context
 from authguard_r.integrations.ros.security import require_security
 from authguard_r.integrations.tools.endpoints import first_of
-from authguard_r.integrations.tools.files import given_binding, trusted_site
 from authguard_r.keys.trust import read_trust
 
 

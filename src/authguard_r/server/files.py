@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The files that a gate is started with, and how they become parts that are read and authentic.
+
+Spec page: docs/spec/gate-protocol.md#start-and-end
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from msgspec import Struct
+
+from authguard_r.access.files import given_binding, trusted_site
+from authguard_r.access.gate_config import open_gate_config
+from authguard_r.anchoring.anchor import read_counter
+from authguard_r.anchoring.counter import Counter, FileCounter
+from authguard_r.approvals.organization import open_policy
+from authguard_r.core.errors import EnvironmentFault
+from authguard_r.core.identifiers import RobotId
+from authguard_r.core.quantities import Now
+from authguard_r.core.reasons import Reason
+from authguard_r.enforcement.emergency.opened import open_emergency
+from authguard_r.estop.files import EStopFiles
+from authguard_r.keys.clock_floor import boot_ms, token_ms
+from authguard_r.keys.signer import folder_signer, read_signer
+from authguard_r.keys.trust import Trust, read_file, read_trust
+from authguard_r.safety import SafetyConfig, default_config, open_config
+from authguard_r.server.parts import EmergencyParts, GateParts, SimulatedRobot
+from authguard_r.site.model import Site
+from authguard_r.store.clocks import SystemClock, committed_ms
+
+#: The file descriptor that the structured log goes to.
+STDERR = 2
+
+
+class GateFiles(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Paths of everything that a gate reads, and the robot that it is for.
+
+    Args:
+        robot: the robot.
+        trust: the trust folder.
+        site: the site model, signed or, in a demonstration, YAML.
+        binding: the planner's tools: YAML, or a shipped name.
+        config: the signed gate configuration.
+        store: the store's file; the gate makes it if it is absent.
+        run: the run folder, for the sockets.
+        key: the gate's private key.
+        cert: the gate's certificate chain.
+        safety: the signed safety configuration; None: the profile's limits, in a demonstration.
+        risk_policy: the organization's signed risk policy.
+        emergency: the signed emergency policy.
+        emergency_journal: its journal; None: beside the store.
+        counter: the file of the counter outside of the store.
+        demo: accept a trust root that says `demo`.
+        simulate: run a symbolic robot inside the gate's process; needs `demo`.
+    """
+
+    robot: RobotId
+    trust: str
+    site: str
+    binding: str
+    config: str
+    store: str
+    run: str
+    key: str
+    cert: str
+    safety: str | None = None
+    risk_policy: str | None = None
+    emergency: str | None = None
+    emergency_journal: str | None = None
+    counter: str | None = None
+    demo: bool = False
+    simulate: bool = False
+
+    @property
+    def outside(self) -> Counter | None:
+        """The counter outside of the store."""
+        return None if self.counter is None else FileCounter(Path(self.counter))
+
+
+def start_time(files: GateFiles, trust: Trust) -> Now:
+    """Return the machine's clock, or the latest time that is known to be over if that is later.
+
+    A machine without a clock yet starts at that time. Its gate serves stops, and refuses the rest
+    until somebody sets the clock.
+    """
+    counted = read_counter(files.outside, verifier=trust)
+    signed_ms = token_ms(read_file(Path(files.config)))
+    known_ms = (committed_ms(Path(files.store)), counted.time_ms, signed_ms)
+    return Now(boot_ms(SystemClock().wall_ms(), trust, *known_ms), 0)
+
+
+def open_parts(files: GateFiles) -> GateParts:
+    """Return the parts of a gate, each read and authentic.
+
+    Raises:
+        AuthGuardError: a part cannot be read, is not sound or is not authentic.
+    """
+    trust = read_trust(Path(files.trust))
+    now = start_time(files, trust)
+    site = trusted_site(Path(files.site), trust, now)
+    key, cert, config = Path(files.key), Path(files.cert), Path(files.config)
+    stop_process = EStopFiles(
+        run=Path(files.run),
+        robot=files.robot,
+        trust=Path(files.trust),
+        key=key,
+        cert=cert,
+        config=config,
+    )
+    policy = files.risk_policy
+    return GateParts(
+        run=Path(files.run),
+        trust=trust,
+        signer=read_signer(key, cert),
+        site=site,
+        binding=given_binding(files.binding, site),
+        safety=_safety(files, trust, site, now),
+        config=open_gate_config(read_file(config), verifier=trust, now=now, robot=files.robot),
+        store=Path(files.store),
+        lane=None if files.simulate else stop_process,
+        journal=STDERR,
+        demo=files.demo,
+        key=key,
+        simulated=_simulated(files, trust, site) if files.simulate else None,
+        risk=None
+        if policy is None
+        else open_policy(read_file(Path(policy)), verifier=trust, now=now),
+        counter=files.outside,
+        emergency=_emergency(files, trust, site, now),
+    )
+
+
+def _safety(files: GateFiles, trust: Trust, site: Site, now: Now) -> SafetyConfig:
+    if files.safety is not None:
+        return open_config(read_file(Path(files.safety)), verifier=trust, now=now)
+    if not trust.demo:
+        raise EnvironmentFault(
+            "expected a safety officer's signed configuration outside demonstration",
+            reason=Reason.SIGNATURE_INVALID,
+            where="--safety",
+        )
+    return default_config(site, files.robot)
+
+
+def _emergency(files: GateFiles, trust: Trust, site: Site, now: Now) -> EmergencyParts | None:
+    if files.emergency is None:
+        return None
+    token, journal = read_file(Path(files.emergency)), files.emergency_journal
+    policy = open_emergency(token, verifier=trust, now=now, site=site, robot=files.robot)
+    return EmergencyParts(policy=policy, journal=None if journal is None else Path(journal))
+
+
+def _simulated(files: GateFiles, trust: Trust, site: Site) -> SimulatedRobot:
+    if not (files.demo and trust.demo):
+        raise EnvironmentFault(
+            "only with --demo and a root that says `demo`",
+            reason=Reason.STORE_UNAVAILABLE,
+            where="--simulate",
+        )
+    # a gate of a real robot does not load the simulator
+    from authguard_r.sim.robot import SymbolicRobot
+    from authguard_r.sim.world import initial_state
+
+    now_ms = SystemClock().wall_ms()
+    return SymbolicRobot(
+        site,
+        files.robot,
+        initial_state(site, site.robots[files.robot].home),
+        estimator=folder_signer(Path(files.trust), f"estimator-{files.robot}"),
+        start_ms=now_ms,
+        epoch=now_ms,
+    )
