@@ -20,8 +20,9 @@ from authguard_r.anchoring.sealing.policy import Reader
 from authguard_r.anchoring.witnesses import cosignature, exchange, request
 from authguard_r.audit.checkpoint import origin_of
 from authguard_r.audit.note import NoteKey, read_key
+from authguard_r.audit.record import LogRow
 from authguard_r.audit.sealed_envelopes import DataClass
-from authguard_r.audit.verify import LogRow, verify_rows
+from authguard_r.audit.verify import verify_rows
 from authguard_r.cli.replay import LogReplay
 from authguard_r.core.standing import Outcome
 from authguard_r.keys.algorithms import Algorithm

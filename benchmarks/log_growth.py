@@ -28,9 +28,9 @@ from authguard_r.anchoring.sealing.policy import Reader, SealingPolicy
 from authguard_r.anchoring.sealing.stored_policy import hold_policy
 from authguard_r.audit.checkpoint import Checkpoint, origin_of, read_checkpoint
 from authguard_r.audit.parallel import usable_jobs, verify_in_pieces
-from authguard_r.audit.record import Entry
+from authguard_r.audit.record import Entry, LogRow
 from authguard_r.audit.tree import Frontier, leaf_hash
-from authguard_r.audit.verify import Anchor, LogRow, of_checkpoint, verify_rows
+from authguard_r.audit.verify import Anchor, of_checkpoint, verify_rows
 from authguard_r.core.standing import Outcome, Spend
 from authguard_r.enforcement.report import decision_entry, outcome_entry
 from authguard_r.keys.signer import folder_signer, gate_name

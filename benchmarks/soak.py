@@ -14,7 +14,8 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from authguard_r.audit.verify import LogRow, verify_rows
+from authguard_r.audit.record import LogRow
+from authguard_r.audit.verify import verify_rows
 from authguard_r.store.sqlite import read_rows
 from authguard_r.wire.messages import Kind
 from line import SECOND, Line

@@ -23,8 +23,8 @@ sys.path[:0] = [str(ROOT / "tests")]
 
 from authguard_r.audit.checkpoint import origin_of  # noqa: E402
 from authguard_r.audit.note import Note, NoteKey, NoteSignature  # noqa: E402
+from authguard_r.audit.record import LogRow  # noqa: E402
 from authguard_r.audit.tree import EMPTY_ROOT, MemoryTree, consistency_proof, leaf_hash, root_of  # noqa: E402
-from authguard_r.audit.verify import LogRow  # noqa: E402
 from authguard_r.auditor.export_format import note_line, row_line  # noqa: E402
 from authguard_r.core.identifiers import RobotId  # noqa: E402
 from authguard_r.keys.notes import cosign, log_key, witness_key  # noqa: E402

@@ -29,6 +29,7 @@ from authguard_r.audit.record import (  # noqa: E402
     BOX,
     WRAP,
     Entry,
+    LogRow,
     Sealed,
     append,
     read_record,
@@ -42,7 +43,7 @@ from authguard_r.audit.sealed_envelopes import (  # noqa: E402
     append_covered,
     opened,
 )
-from authguard_r.audit.verify import LogRow, verify_rows  # noqa: E402
+from authguard_r.audit.verify import verify_rows  # noqa: E402
 from authguard_r.core.encoding import b64, encode, encode_fast, unb64  # noqa: E402
 from authguard_r.core.errors import AuthGuardError  # noqa: E402
 from authguard_r.keys.readers import ReaderKey  # noqa: E402

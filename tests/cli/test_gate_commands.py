@@ -26,7 +26,7 @@ import msgspec
 import pytest
 import typer
 
-from authguard_r.audit.verify import LogRow
+from authguard_r.audit.record import LogRow
 from authguard_r.cli import call
 from authguard_r.cli.gateway import RUNS, only_run
 from authguard_r.cli.operate import status_lines

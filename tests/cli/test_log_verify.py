@@ -19,8 +19,7 @@ import pytest
 
 from authguard_r.audit import parallel
 from authguard_r.audit.note import Note, NoteSignature, read_note
-from authguard_r.audit.record import Terminal
-from authguard_r.audit.verify import LogRow
+from authguard_r.audit.record import LogRow, Terminal
 from authguard_r.auditor.export_format import MAX_LINE, note_line, row_line
 from authguard_r.cli import call, log_verify
 from authguard_r.cli.gateway import GateAddress

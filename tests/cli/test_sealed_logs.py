@@ -27,6 +27,7 @@ from authguard_r.audit.record import (
     BOX,
     WRAP,
     Entry,
+    LogRow,
     Record,
     Sealed,
     append,
@@ -36,7 +37,7 @@ from authguard_r.audit.record import (
     without,
 )
 from authguard_r.audit.sealed_envelopes import SEALING
-from authguard_r.audit.verify import LogRow, verify_rows
+from authguard_r.audit.verify import verify_rows
 from authguard_r.auditor.export_format import row_line
 from authguard_r.cli import call
 from authguard_r.core.encoding import encode_fast

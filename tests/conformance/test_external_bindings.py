@@ -20,9 +20,9 @@ from authguard_r.core.reasons import Reason
 from authguard_r.normalize.bind import Binder
 from authguard_r.normalize.binding import Binding, ways
 from authguard_r.normalize.dialects import Call, Dialect, read_plan
-from authguard_r.normalize.interface import Surface, read_interface
+from authguard_r.normalize.interface import Surface, read_interface, shipped_interface
 from authguard_r.normalize.rebuild import Rebuilder
-from authguard_r.normalize.shipped import binding_source, shipped_interface
+from authguard_r.normalize.shipped import binding_source
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert
 from authguard_r.site.words import standard_words

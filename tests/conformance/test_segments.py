@@ -15,8 +15,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from authguard_r.audit.record import read_sealed
-from authguard_r.audit.verify import LogRow, verify_rows
+from authguard_r.audit.record import LogRow, read_sealed
+from authguard_r.audit.verify import verify_rows
 from authguard_r.core.errors import StoreError
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.ports import Turn

@@ -15,8 +15,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from authguard_r.audit.record import Entry, append, read_sealed
-from authguard_r.audit.verify import LogRow, verify_rows
+from authguard_r.audit.record import Entry, LogRow, append, read_sealed
+from authguard_r.audit.verify import verify_rows
 from authguard_r.core.chain import GENESIS
 from authguard_r.core.errors import RefusedError, StoreError
 from authguard_r.core.ports import Turn

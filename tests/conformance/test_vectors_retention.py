@@ -14,8 +14,7 @@ import pytest
 from msgspec.structs import replace
 
 from authguard_r.anchoring.sealing.policy import SealingPolicy
-from authguard_r.audit.record import BOX
-from authguard_r.audit.verify import LogRow
+from authguard_r.audit.record import BOX, LogRow
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.mission import DataClass, Mission

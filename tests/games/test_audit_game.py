@@ -24,8 +24,8 @@ import msgspec
 import pytest
 
 from authguard_r.audit.note import NoteKey
-from authguard_r.audit.record import BOX, WRAP, Sealed, Terminal, read_record, read_sealed
-from authguard_r.audit.verify import LogRow, Verification, of_checkpoint, verify_rows
+from authguard_r.audit.record import BOX, WRAP, LogRow, Sealed, Terminal, read_record, read_sealed
+from authguard_r.audit.verify import Verification, of_checkpoint, verify_rows
 from authguard_r.auditor.export_format import note_line, row_line
 from authguard_r.cli.log_reading import reading
 from authguard_r.core.encoding import Tag, encode_fast

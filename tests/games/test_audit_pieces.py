@@ -13,7 +13,8 @@ from functools import cache
 import pytest
 
 from authguard_r.audit import parallel
-from authguard_r.audit.verify import LogRow, LogVerifier, Verification, verify_piece, verify_rows
+from authguard_r.audit.record import LogRow
+from authguard_r.audit.verify import LogVerifier, Verification, verify_piece, verify_rows
 from fixtures.audit_game import Auditor, Genuine, auditor, genuine
 from fixtures.tampering import ATTACKS, destroy_all
 

@@ -23,7 +23,8 @@ from typing import Any
 import msgspec
 import pytest
 
-from authguard_r.audit.verify import LogRow, verify_rows
+from authguard_r.audit.record import LogRow
+from authguard_r.audit.verify import verify_rows
 from authguard_r.core.encoding import decode
 from authguard_r.core.errors import StoreError
 from authguard_r.core.lifecycle import Status

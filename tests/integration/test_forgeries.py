@@ -16,8 +16,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from authguard_r.audit.record import Record, Sealed, read_record, read_sealed
-from authguard_r.audit.verify import LogRow
+from authguard_r.audit.record import LogRow, Record, Sealed, read_record, read_sealed
 from authguard_r.cli import call
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, b64, digest_of

@@ -14,8 +14,9 @@ from authguard_r.anchoring.checkpoints import FRONTIER, NEWEST, TREE
 from authguard_r.anchoring.rotation import STUCK
 from authguard_r.audit.checkpoint import Checkpoint, read_checkpoint
 from authguard_r.audit.note import read_note
+from authguard_r.audit.record import LogRow
 from authguard_r.audit.tree import Frontier, leaf_hash
-from authguard_r.audit.verify import LogRow, of_checkpoint, verify_rows
+from authguard_r.audit.verify import of_checkpoint, verify_rows
 from authguard_r.cli import call
 from authguard_r.client import GateClient
 from authguard_r.keys.notes import require_all

@@ -24,8 +24,8 @@ import apsw
 from authguard_r.anchoring.checkpoints import Checkpoints
 from authguard_r.audit.checkpoint import read_checkpoint
 from authguard_r.audit.note import Note
-from authguard_r.audit.record import Entry
-from authguard_r.audit.verify import LogRow, verify_rows
+from authguard_r.audit.record import Entry, LogRow
+from authguard_r.audit.verify import verify_rows
 from authguard_r.core.encoding import Tag, decode, digest_of
 from authguard_r.core.standing import Outcome, Spend, Standing, Use, reserve, settle
 from authguard_r.keys.signer import folder_signer

@@ -10,7 +10,8 @@ from __future__ import annotations
 import os
 import random
 
-from authguard_r.audit.verify import LogRow, verify_rows
+from authguard_r.audit.record import LogRow
+from authguard_r.audit.verify import verify_rows
 from authguard_r.core.errors import StoreError
 from authguard_r.store.folder import Folder
 from authguard_r.store.segment_mover import Mover

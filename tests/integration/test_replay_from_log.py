@@ -22,6 +22,7 @@ from msgspec.structs import replace
 from authguard_r.approvals.organization import OrganizationPolicy
 from authguard_r.audit.record import (
     Entry,
+    LogRow,
     Record,
     Sealed,
     append,
@@ -30,7 +31,7 @@ from authguard_r.audit.record import (
     read_record,
     read_sealed,
 )
-from authguard_r.audit.verify import LogRow, verify_rows
+from authguard_r.audit.verify import verify_rows
 from authguard_r.authoring.keys.revoking import revoke
 from authguard_r.authoring.keys.setup import demo_members, init_folder
 from authguard_r.cli import call

@@ -9,8 +9,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from authguard_r.audit.record import Record, Sealed, read_record
-from authguard_r.audit.verify import LogRow
+from authguard_r.audit.record import LogRow, Record, Sealed, read_record
 from authguard_r.auditor.replay.repairs import Repairs
 from fixtures import scenarios
 from integration.test_replay_from_log import Change, again, destroyed, forged, kinds, rows_of

@@ -12,8 +12,7 @@ from typing import Any
 
 import pytest
 
-from authguard_r.audit.record import BOX, WRAP
-from authguard_r.audit.verify import LogRow
+from authguard_r.audit.record import BOX, WRAP, LogRow
 from authguard_r.cli.logs import open_log
 from authguard_r.cli.replay import LogReplay
 from authguard_r.core.approval import ApprovalVerdict

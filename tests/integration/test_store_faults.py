@@ -24,7 +24,8 @@ from typing import Any, TypeVar
 import apsw
 import pytest
 
-from authguard_r.audit.verify import LogRow, verify_rows
+from authguard_r.audit.record import LogRow
+from authguard_r.audit.verify import verify_rows
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import ClockError, StoreError

@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
-from authguard_r.audit.record import Record, read_record
-from authguard_r.audit.verify import LogRow, verify_rows
+from authguard_r.audit.record import LogRow, Record, read_record
+from authguard_r.audit.verify import verify_rows
 from authguard_r.auditor.export_format import note_line, row_line
 from authguard_r.cli import call
 from authguard_r.core.errors import AuthGuardError, MalformedError, StoreError

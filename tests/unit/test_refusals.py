@@ -23,8 +23,8 @@ import apsw
 import msgspec
 import pytest
 
-from authguard_r.audit.record import Entry
-from authguard_r.audit.verify import LogRow, verify_rows
+from authguard_r.audit.record import Entry, LogRow
+from authguard_r.audit.verify import verify_rows
 from authguard_r.core.encoding import Tag, b64, decode, encode_fast
 from authguard_r.core.errors import ClockError, RefusedError, StoreError
 from authguard_r.core.identifiers import RobotId

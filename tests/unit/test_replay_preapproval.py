@@ -6,8 +6,7 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from authguard_r.audit.record import read_record
-from authguard_r.audit.verify import LogRow
+from authguard_r.audit.record import LogRow, read_record
 from authguard_r.auditor.replay.preapproval import PreApprovals
 from authguard_r.cli.replay import LogReplay
 from authguard_r.core.approval import ApprovalVerdict, PreApproval

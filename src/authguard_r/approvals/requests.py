@@ -14,8 +14,7 @@ from typing import Any
 
 from msgspec import Struct, convert, structs
 
-from authguard_r.audit.record import Record, Sealed, read_record, read_sealed
-from authguard_r.audit.verify import LogRow
+from authguard_r.audit.record import LogRow, Record, Sealed, read_record, read_sealed
 from authguard_r.core.action import Action
 from authguard_r.core.approval import Approval, ApprovalVerdict, VerifiedApproval
 from authguard_r.core.checks.approval import Need, check_approval

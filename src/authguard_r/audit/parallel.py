@@ -26,10 +26,9 @@ from typing import Self
 import msgspec
 from msgspec import Struct
 
-from authguard_r.audit.record import Terminal
+from authguard_r.audit.record import LogRow, Terminal
 from authguard_r.audit.verify import (
     Anchor,
-    LogRow,
     LogVerifier,
     Piece,
     Verification,

@@ -27,6 +27,15 @@ _ENDS = frozenset({"succeeded", "failed", "not_started", "aborted", "unknown"})
 _GOES_ON = frozenset({"activate", "recover", "resolve", "resume"})
 
 
+class LogRow(Struct, frozen=True, gc=False):
+    """One stored row: number, record, the values beside it, and its link."""
+
+    seq: int
+    record: bytes
+    sealed: bytes
+    link: bytes
+
+
 class Record(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One record as it is stored: the eight linked fields, the open and the committed ones.
 

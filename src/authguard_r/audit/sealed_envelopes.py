@@ -29,6 +29,7 @@ from authguard_r.audit.record import (
     NONE,
     Attachment,
     Entry,
+    LogRow,
     Record,
     Sealed,
     commit,
@@ -38,7 +39,6 @@ from authguard_r.audit.record import (
     spelled,
     write,
 )
-from authguard_r.audit.verify import LogRow
 from authguard_r.core.encoding import b64, encode_fast, unb64
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Base64Url, Count, RobotId

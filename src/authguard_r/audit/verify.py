@@ -22,7 +22,7 @@ from msgspec import Struct
 
 from authguard_r.audit.checkpoint import Checkpoint
 from authguard_r.audit.missing import DestructionOrder, Gone, MissingValues
-from authguard_r.audit.record import Sealed, Terminal
+from authguard_r.audit.record import LogRow, Sealed, Terminal
 from authguard_r.audit.tree import Frontier, leaf_hash
 from authguard_r.core.chain import GENESIS
 from authguard_r.core.encoding import MAX_BYTES, Tag, b64, decode, encode_fast, unb64
@@ -48,15 +48,6 @@ _USUAL = frozenset(
         *("succeeded", "failed", "not_started", "aborted", "unknown", "counted"),
     )
 )
-
-
-class LogRow(Struct, frozen=True, gc=False):
-    """One stored row: number, record, the values beside it, and its link."""
-
-    seq: int
-    record: bytes
-    sealed: bytes
-    link: bytes
 
 
 class Anchor(Struct, frozen=True, kw_only=True):

@@ -13,7 +13,7 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
-from authguard_r.audit.verify import LogRow
+from authguard_r.audit.record import LogRow
 from authguard_r.core.encoding import b64, encode_fast, unb64
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason

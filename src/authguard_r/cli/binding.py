@@ -14,9 +14,14 @@ from authguard_r.authoring.binding.samples import Sampler, probe_site
 from authguard_r.cli.inputs import JsonFlag, load_site
 from authguard_r.core.errors import MalformedError
 from authguard_r.normalize.binding import Binding, binding_digest, require_sound, ways
-from authguard_r.normalize.interface import Surface, listed_interface, read_interface
+from authguard_r.normalize.interface import (
+    Surface,
+    listed_interface,
+    read_interface,
+    shipped_interface,
+)
 from authguard_r.normalize.rebuild import call_bytes
-from authguard_r.normalize.shipped import binding_source, shipped_interface, shipped_names
+from authguard_r.normalize.shipped import binding_source, shipped_names
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert, read_text, read_yaml
 from authguard_r.site.words import standard_words

@@ -24,7 +24,7 @@ from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.signer import read_signer
 from authguard_r.keys.trust import read_trust
-from authguard_r.normalize.shipped import shipped_interface
+from authguard_r.normalize.interface import shipped_interface
 from authguard_r.operations.checkup import GateSetup, require_safe
 from authguard_r.server.files import GateFiles, open_parts, start_time
 

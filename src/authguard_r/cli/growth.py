@@ -11,8 +11,7 @@ from typing import Any
 
 from msgspec import Struct
 
-from authguard_r.audit.record import NONE, read_record
-from authguard_r.audit.verify import LogRow
+from authguard_r.audit.record import NONE, LogRow, read_record
 from authguard_r.cli.audit import StoreArgument
 from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.log_reading import reading

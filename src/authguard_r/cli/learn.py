@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import msgspec
 import typer
 
-from authguard_r.audit.verify import LogRow
+from authguard_r.audit.record import LogRow
 from authguard_r.auditor.export_format import exported_rows
 from authguard_r.authoring.onboarding.evidence import ShadowEvidence, Unused, gather
 from authguard_r.authoring.onboarding.pages import LearnedProposals, propose, ranked, row_line

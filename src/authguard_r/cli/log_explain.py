@@ -16,8 +16,7 @@ from typing import Annotated, Any
 import typer
 
 from authguard_r.audit.closed import Closed, closed_of
-from authguard_r.audit.record import Record, read_record, read_sealed
-from authguard_r.audit.verify import LogRow
+from authguard_r.audit.record import LogRow, Record, read_record, read_sealed
 from authguard_r.auditor.claims import claimed_mission
 from authguard_r.cli.audit import StoreArgument
 from authguard_r.cli.inputs import JsonFlag

@@ -17,9 +17,8 @@ from typing import Annotated, Any
 
 import typer
 
-from authguard_r.audit.record import BOX, read_record, read_sealed
+from authguard_r.audit.record import BOX, LogRow, read_record, read_sealed
 from authguard_r.audit.sealed_envelopes import act_of
-from authguard_r.audit.verify import LogRow
 from authguard_r.auditor.export_format import note_line, row_line
 from authguard_r.cli.audit import StoreArgument
 from authguard_r.cli.inputs import JsonFlag

@@ -12,9 +12,8 @@ import typer
 from msgspec import Struct
 
 from authguard_r.audit.closed import Closed
-from authguard_r.audit.record import NONE, Record, read_record, read_sealed
+from authguard_r.audit.record import NONE, LogRow, Record, read_record, read_sealed
 from authguard_r.audit.sealed_envelopes import SEALING, act_of
-from authguard_r.audit.verify import LogRow
 from authguard_r.cli.audit import StoreArgument
 from authguard_r.cli.inputs import JsonFlag, wall_now
 from authguard_r.cli.listing import Listing, listing

@@ -14,8 +14,8 @@ import typer
 from authguard_r.audit.missing import told
 from authguard_r.audit.note import read_key
 from authguard_r.audit.parallel import MOST_JOBS, usable_jobs, verify_in_pieces
-from authguard_r.audit.record import Record, read_record, read_sealed
-from authguard_r.audit.verify import Anchor, By, LogRow, Verification
+from authguard_r.audit.record import LogRow, Record, read_record, read_sealed
+from authguard_r.audit.verify import Anchor, By, Verification
 from authguard_r.cli.audit import StoreArgument
 from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.log_anchors import AnchorOptions, KnownLog, known_of

@@ -11,7 +11,7 @@ from typing import Any
 from msgspec import Struct
 
 from authguard_r.anchoring.checkpoints import CHECKPOINT, NEWEST, WITNESSED
-from authguard_r.audit.verify import LogRow
+from authguard_r.audit.record import LogRow
 from authguard_r.auditor.export_format import exported_note, exported_rows, is_export
 from authguard_r.cli.gateway import GateAddress, beside_store, connect_as, told_of
 from authguard_r.client import GateClient

@@ -10,8 +10,7 @@ import msgspec
 from msgspec.structs import replace
 
 from authguard_r.audit.prompts import activated, count_prompts
-from authguard_r.audit.record import Record, read_record, read_sealed
-from authguard_r.audit.verify import LogRow
+from authguard_r.audit.record import LogRow, Record, read_record, read_sealed
 from authguard_r.cli.audit import StoreArgument
 from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.log_reading import strange

@@ -19,8 +19,8 @@ from msgspec import Struct
 
 import authguard_reference as oracle
 from authguard_r.audit.missing import told as told_missing
-from authguard_r.audit.record import NONE, Record, read_record, read_sealed
-from authguard_r.audit.verify import LogRow, Verification, verify_rows
+from authguard_r.audit.record import NONE, LogRow, Record, read_record, read_sealed
+from authguard_r.audit.verify import Verification, verify_rows
 from authguard_r.auditor.replay.repairs import Repairs
 from authguard_r.auditor.replay.sources import FAR_MS, Forged, Inputs, Lacking, Sources
 from authguard_r.auditor.replay.text import plain

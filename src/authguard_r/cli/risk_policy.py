@@ -34,6 +34,7 @@ from authguard_r.enforcement.templates import claimed
 from authguard_r.keys.files import write_whole
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.site import formatting
+from authguard_r.site.durations import duration
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert, read_text, read_yaml
 from authguard_r.wire.output import emit
@@ -142,7 +143,7 @@ def card(policy: OrganizationPolicy) -> list[str]:
         "  counts beside every mission's own: whichever asks for more people",
         f"  from risk {own.tau_1}: 2 people; from {own.tau_2}: {own.t} people; issuer included",
         f"  may answer, where the mission names them too: {', '.join(own.roles)}",
-        f"  a request lives {formatting.duration(own.valid_ms)} at most",
+        f"  a request lives {duration(own.valid_ms)} at most",
         f"  what is not listed: {own.otherwise}; each step of privacy: {own.privacy}",
     ]
     for what, listed in weights.items():

@@ -18,9 +18,9 @@ from msgspec.structs import replace
 from authguard_r.anchoring.sealing.key_ring import KeyRing
 from authguard_r.anchoring.sealing.wraps import Wrapped
 from authguard_r.audit.closed import Closed, closed_of
-from authguard_r.audit.record import BOX, WRAP, Record, Sealed, read_record, read_sealed
+from authguard_r.audit.record import BOX, WRAP, LogRow, Record, Sealed, read_record, read_sealed
 from authguard_r.audit.sealed_envelopes import SEALING, SealedEnvelope
-from authguard_r.audit.verify import LogRow, Verification
+from authguard_r.audit.verify import Verification
 from authguard_r.cli.signing_key import passphrase_of
 from authguard_r.core.encoding import encode_fast
 from authguard_r.core.errors import AuthenticityError, MalformedError

@@ -26,6 +26,7 @@ from authguard_r.normalize.binding import (
     ways,
 )
 from authguard_r.normalize.parse import read_json
+from authguard_r.normalize.shipped import FOLDER, INTERFACES, read_shipped, shipped_names
 from authguard_r.site.strict import convert
 
 #: Stands for the items of a list within a path: `poses.[].header.frame_id`.
@@ -169,6 +170,18 @@ def uncompared(binding: Binding, surfaces: tuple[Surface, ...]) -> Iterator[Tool
     for way in ways(binding):
         if not any(_is_of(way.name, way.tool, surface) for surface in surfaces):
             yield way
+
+
+def shipped_interface(name: str) -> tuple[Surface, ...] | None:
+    """Return the tools and fields that a shipped binding is for; None when none is called so.
+
+    Args:
+        name: compared exactly.
+    """
+    if name not in shipped_names():
+        return None
+    where = f"{name} interface"
+    return listed_interface(read_shipped(name, FOLDER, INTERFACES), where=where)
 
 
 def _is_of(name: str, tool: ToolBinding, surface: Surface) -> bool:

@@ -12,17 +12,16 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from authguard_r.normalize.interface import Surface, listed_interface
 from authguard_r.site.source import read_text, read_yaml
 
-_FOLDER = "bindings"
-_INTERFACES = "interfaces"
+#: Where the shipped bindings lie in this package, and in it their interfaces.
+FOLDER, INTERFACES = "bindings", "interfaces"
 _SUFFIX = ".yaml"
 
 
 def shipped_names() -> tuple[str, ...]:
     """Return the names of the shipped bindings, sorted."""
-    folder = files("authguard_r.normalize").joinpath(_FOLDER)
+    folder = files("authguard_r.normalize").joinpath(FOLDER)
     found = (item.name for item in folder.iterdir())
     return tuple(sorted(name.removesuffix(_SUFFIX) for name in found if name.endswith(_SUFFIX)))
 
@@ -38,22 +37,11 @@ def binding_source(name: str) -> Any:
         MalformedError: no strict YAML.
     """
     if name in shipped_names():
-        return _shipped(name, _FOLDER)
+        return read_shipped(name, FOLDER)
     return read_yaml(read_text(Path(name)), where=name)
 
 
-def shipped_interface(name: str) -> tuple[Surface, ...] | None:
-    """Return the tools and fields that a shipped binding is for; None when none is called so.
-
-    Args:
-        name: compared exactly.
-    """
-    if name not in shipped_names():
-        return None
-    where = f"{name} interface"
-    return listed_interface(_shipped(name, _FOLDER, _INTERFACES), where=where)
-
-
-def _shipped(name: str, *folders: str) -> Any:
+def read_shipped(name: str, *folders: str) -> Any:
+    """Return the plain data of a file that comes with the package."""
     item = files("authguard_r.normalize").joinpath(*folders, name + _SUFFIX)
     return read_yaml(item.read_text(encoding="utf-8"), where=name)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from authguard_r.core.identifiers import ActionType, ParameterId, RegionId
 from authguard_r.core.mission import Comparison, Guard, Limit, Row
+from authguard_r.site.durations import decimal, duration
 from authguard_r.site.model import Site
 
 #: For each unit of signed data, the unit that people read and the power of ten between them.
@@ -56,17 +57,7 @@ def quantity(value: int, unit: str) -> str:
     if unit == "count":
         return str(value)
     shown, power = _READ.get(unit, (unit, 0))
-    return f"{_decimal(value, power)} {shown}"
-
-
-def duration(value: int) -> str:
-    """Return milliseconds as hours, minutes and seconds: 180000 is `3 min`."""
-    hours, rest = divmod(abs(value), 3_600_000)
-    minutes, rest = divmod(rest, 60_000)
-    parts = [f"{hours} h"] * bool(hours) + [f"{minutes} min"] * bool(minutes)
-    if rest or not parts:
-        parts.append(f"{_decimal(rest, 3)} s")
-    return "-" * (value < 0) + " ".join(parts)
+    return f"{decimal(value, power)} {shown}"
 
 
 def limit(item: Limit, site: Site, kind: ActionType | None = None) -> str:
@@ -172,12 +163,5 @@ def tags_of(region: RegionId, site: Site) -> tuple[str, ...]:
 def _bytes(value: int) -> str:
     for shown, power in _BYTES:
         if value >= 10**power:
-            return f"{_decimal(value, power)} {shown}"
+            return f"{decimal(value, power)} {shown}"
     return f"{value} bytes"
-
-
-def _decimal(value: int, power: int) -> str:
-    """Return the value divided by a power of ten, every digit of it."""
-    whole, rest = divmod(abs(value), 10**power)
-    digits = f"{rest:0{power}}".rstrip("0") if rest else ""
-    return "-" * (value < 0) + str(whole) + (f".{digits}" if digits else "")

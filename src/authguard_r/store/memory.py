@@ -12,8 +12,7 @@ from typing import TypeVar
 
 from msgspec import structs
 
-from authguard_r.audit.record import without
-from authguard_r.audit.verify import LogRow
+from authguard_r.audit.record import LogRow, without
 from authguard_r.core.chain import GENESIS
 from authguard_r.core.errors import StoreError
 from authguard_r.core.ports import Turn

@@ -17,8 +17,7 @@ from typing import Protocol
 
 from msgspec import Struct, structs
 
-from authguard_r.audit.record import Entry, append, ends_motion
-from authguard_r.audit.verify import LogRow
+from authguard_r.audit.record import Entry, LogRow, append, ends_motion
 from authguard_r.core.encoding import Tag, b64, encode_fast
 from authguard_r.core.ports import Turn
 

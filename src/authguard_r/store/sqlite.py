@@ -18,7 +18,7 @@ from typing import Generic, TypeVar
 
 import apsw
 
-from authguard_r.audit.verify import LogRow
+from authguard_r.audit.record import LogRow
 from authguard_r.core.chain import GENESIS
 from authguard_r.core.errors import EnvironmentFault, StoreError
 from authguard_r.core.ports import Turn

@@ -16,8 +16,7 @@ from typing import TypeVar
 
 from msgspec import Struct
 
-from authguard_r.audit.record import Entry, append
-from authguard_r.audit.verify import LogRow
+from authguard_r.audit.record import Entry, LogRow, append
 from authguard_r.core.encoding import b64, decode, encode_fast
 from authguard_r.core.errors import ClockError, MalformedError, StoreError
 from authguard_r.core.identifiers import Digest, MissionId, RobotId

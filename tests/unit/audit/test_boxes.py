@@ -17,6 +17,7 @@ from authguard_r.audit.record import (
     BOX,
     NONE,
     Entry,
+    LogRow,
     Record,
     Sealed,
     append,
@@ -37,7 +38,7 @@ from authguard_r.audit.sealed_envelopes import (
     classes_of,
     opened,
 )
-from authguard_r.audit.verify import LogRow, verify_rows
+from authguard_r.audit.verify import verify_rows
 from authguard_r.core.encoding import b64, encode_fast
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.mission import DataClass

@@ -20,11 +20,10 @@ import msgspec
 import pytest
 
 from authguard_r.audit import parallel
-from authguard_r.audit.record import Terminal
+from authguard_r.audit.record import LogRow, Terminal
 from authguard_r.audit.tree import leaf_hash
 from authguard_r.audit.verify import (
     Anchor,
-    LogRow,
     LogVerifier,
     Piece,
     Verification,

@@ -18,6 +18,7 @@ import pytest
 from authguard_r.audit import verify
 from authguard_r.audit.record import (
     Entry,
+    LogRow,
     Record,
     Terminal,
     commit,
@@ -25,7 +26,7 @@ from authguard_r.audit.record import (
     read_record,
     read_sealed,
 )
-from authguard_r.audit.verify import Anchor, LogRow, Verification, of_checkpoint, verify_rows
+from authguard_r.audit.verify import Anchor, Verification, of_checkpoint, verify_rows
 from authguard_r.core.chain import GENESIS, Link, link
 from authguard_r.core.encoding import MAX_BYTES, b64
 from authguard_r.core.errors import MalformedError

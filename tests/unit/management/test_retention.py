@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from authguard_r.anchoring.sealing.policy import SealingPolicy
 from authguard_r.anchoring.sealing.stored_policy import due_missions, retention_of
-from authguard_r.audit.verify import LogRow
+from authguard_r.audit.record import LogRow
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import Digest
 from authguard_r.core.mission import FIRST_SCHEMA, DataClass, Mission

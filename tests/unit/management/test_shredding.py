@@ -16,8 +16,7 @@ from msgspec.structs import replace
 from authguard_r.anchoring.sealing.policy import SealingPolicy
 from authguard_r.anchoring.sealing.stored_policy import HELD, due_missions
 from authguard_r.anchoring.sealing.stored_policy import expiry_ms as expiry_of
-from authguard_r.audit.record import BOX, WRAP, Entry, append
-from authguard_r.audit.verify import LogRow
+from authguard_r.audit.record import BOX, WRAP, Entry, LogRow, append
 from authguard_r.cli.replay import LogReplay
 from authguard_r.core.encoding import b64
 from authguard_r.core.errors import AuthGuardError, StoreError

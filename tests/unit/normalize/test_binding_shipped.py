@@ -17,9 +17,9 @@ from authguard_r.normalize.bind import Binder
 from authguard_r.normalize.binding import Binding, ways
 from authguard_r.normalize.dialects import Call, Dialect, read_plan
 from authguard_r.normalize.dialects.verbs import STEP_VERBS
-from authguard_r.normalize.interface import read_interface
+from authguard_r.normalize.interface import read_interface, shipped_interface
 from authguard_r.normalize.rebuild import Rebuilder
-from authguard_r.normalize.shipped import binding_source, shipped_interface, shipped_names
+from authguard_r.normalize.shipped import binding_source, shipped_names
 from authguard_r.site.source import convert
 from authguard_r.site.words import standard_words
 from fixtures import scenarios

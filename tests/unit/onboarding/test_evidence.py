@@ -9,8 +9,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from authguard_r.audit.record import Entry
-from authguard_r.audit.verify import LogRow
+from authguard_r.audit.record import Entry, LogRow
 from authguard_r.authoring.onboarding import evidence
 from authguard_r.authoring.onboarding.evidence import MAX_PLAN, ShadowEvidence, gather
 from authguard_r.core.encoding import b64

@@ -16,9 +16,9 @@ from authguard_r.anchoring.sealing.key_ring import KeyRing
 from authguard_r.anchoring.sealing.policy import SealingPolicy
 from authguard_r.anchoring.sealing.sealer import Sealer
 from authguard_r.anchoring.sealing.stored_policy import HELD, hold_policy, newest_keys, policy_of
-from authguard_r.audit.record import BOX, WRAP, Entry, Sealed, append, read_sealed
+from authguard_r.audit.record import BOX, WRAP, Entry, LogRow, Sealed, append, read_sealed
 from authguard_r.audit.sealed_envelopes import SEALING
-from authguard_r.audit.verify import LogRow, verify_rows
+from authguard_r.audit.verify import verify_rows
 from authguard_r.core.encoding import encode_fast
 from authguard_r.core.errors import AuthenticityError, MalformedError, StoreError
 from authguard_r.core.mission import DataClass

@@ -21,8 +21,8 @@ from authguard_r.core.identifiers import ActionType, RobotId, ToolId
 from authguard_r.core.quantities import Now
 from authguard_r.keys.certificate import Role
 from authguard_r.normalize.binding import Argument, ArgumentUse, Binding, ToolBinding, ways_of
-from authguard_r.normalize.interface import Surface
-from authguard_r.normalize.shipped import binding_source, shipped_interface, shipped_names
+from authguard_r.normalize.interface import Surface, shipped_interface
+from authguard_r.normalize.shipped import binding_source, shipped_names
 from authguard_r.operations.checkup import GateSetup, checkup, is_safe, require_safe
 from authguard_r.operations.checkup.advice import Advice, AdviceCode, Level
 from authguard_r.operations.checkup.meaning import binding_advice

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import msgspec
 
-from authguard_r.audit.record import Terminal
-from authguard_r.audit.verify import LogRow, verify_rows
+from authguard_r.audit.record import LogRow, Terminal
+from authguard_r.audit.verify import verify_rows
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import VariableId

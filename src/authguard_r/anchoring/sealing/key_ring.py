@@ -9,9 +9,8 @@ from __future__ import annotations
 import msgspec
 
 from authguard_r.anchoring.sealing.wraps import Wrapped, WrappedFor
-from authguard_r.audit.record import WRAP, Record, read_record, read_sealed
+from authguard_r.audit.record import WRAP, LogRow, Record, read_record, read_sealed
 from authguard_r.audit.sealed_envelopes import SEALING, opened
-from authguard_r.audit.verify import LogRow
 from authguard_r.core.encoding import encode, unb64
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import RobotId

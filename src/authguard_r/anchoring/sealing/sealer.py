@@ -22,9 +22,8 @@ from authguard_r.anchoring.sealing.stored_policy import (
     policy_of,
 )
 from authguard_r.anchoring.sealing.wraps import Wrapped, WrappedFor
-from authguard_r.audit.record import NONE, WRAP, Entry, append, read_record
+from authguard_r.audit.record import NONE, WRAP, Entry, LogRow, append, read_record
 from authguard_r.audit.sealed_envelopes import SEALING, Cover, append_covered, opened
-from authguard_r.audit.verify import LogRow
 from authguard_r.core.encoding import b64, encode
 from authguard_r.core.identifiers import MissionId, RobotId
 from authguard_r.core.ports import Store, Turn

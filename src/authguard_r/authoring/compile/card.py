@@ -20,6 +20,7 @@ from authguard_r.core.mission import Grant, Mission, RiskPolicy
 from authguard_r.core.quantities import to_ms
 from authguard_r.core.risk import required, tier_of
 from authguard_r.site import formatting
+from authguard_r.site.durations import duration
 from authguard_r.site.model import Site
 
 RIGHTS = ("record", "store", "transmit")
@@ -69,11 +70,11 @@ def card_digest(lines: tuple[str, ...]) -> Digest:
 
 def _head(mission: Mission, site: Site) -> Iterator[str]:
     length = to_ms(mission.expiry, where="expiry") - to_ms(mission.not_before, where="not_before")
-    window = f"{mission.not_before} to {mission.expiry} ({formatting.duration(length)})"
+    window = f"{mission.not_before} to {mission.expiry} ({duration(length)})"
     yield f"Mission {mission.mid}, version {mission.version}, for robot {mission.rid}"
     yield f"  {formatting.quoted(mission.task)}"
     yield f"  signed by {mission.issuer}; valid {window}"
-    yield f"  only with a place read at most {formatting.duration(mission.place_max_age_ms)} ago"
+    yield f"  only with a place read at most {duration(mission.place_max_age_ms)} ago"
     for guard in mission.guards:
         yield f"  only while {formatting.condition(guard)}"
     for item in mission.limits:
@@ -92,7 +93,7 @@ def _grants(mission: Mission, site: Site, demand: OrganizationDemand | None) -> 
 
 def _grant(grant: Grant, site: Site) -> Iterator[str]:
     how = f"{formatting.times(grant.repeat)}, at most {grant.starts} start(s)"
-    longest = f"up to {formatting.duration(grant.max_ms)} each"
+    longest = f"up to {duration(grant.max_ms)} each"
     yield f"  {grant.id}: {grant.type} with {grant.tool}, {how}, {longest}{_marks(grant, site)}"
     for number, row in enumerate(grant.alternatives):
         yield f"    row {number}: {formatting.row(row, site)}"
@@ -164,14 +165,14 @@ def _totals(mission: Mission) -> Iterator[str]:
     budgets, rate = mission.budgets, mission.budgets.rate
     yield (
         f"In all: {budgets.actions} actions, at most {rate.count} in "
-        f"{formatting.duration(rate.per_ms)}; {formatting.duration(budgets.motion_ms)} in motion, "
-        f"{formatting.duration(budgets.wait_ms)} waiting; "
+        f"{duration(rate.per_ms)}; {duration(budgets.motion_ms)} in motion, "
+        f"{duration(budgets.wait_ms)} waiting; "
         f"{formatting.quantity(budgets.recorded_bytes, 'byte')} recorded; "
         f"an alert after {budgets.planner_stops} stops by the planner"
     )
     yield f"After a refusal: {mission.on_refusal}"
     if mission.closing is not None:
-        names, long = ", ".join(mission.closing.grants), formatting.duration(mission.closing.for_ms)
+        names, long = ", ".join(mission.closing.grants), duration(mission.closing.for_ms)
         yield f"Once complete, {names} may still be used for {long}"
 
 
@@ -183,7 +184,7 @@ def _approvals(mission: Mission, site: Site) -> Iterator[str]:
     )
     yield (
         f"  of the roles {', '.join(policy.roles)}; a request lives "
-        f"{formatting.duration(policy.valid_ms)}, at most {mission.budgets.prompts} request(s)"
+        f"{duration(policy.valid_ms)}, at most {mission.budgets.prompts} request(s)"
     )
     yield f"  risk is the sum of: {'; '.join(_weights(policy, site))}"
 
@@ -205,7 +206,7 @@ def _demanded(mission: Mission, demand: OrganizationDemand | None) -> Iterator[s
     )
     yield (
         f"  of the roles that both name: {roles or 'none, so nobody can answer'}; a request lives "
-        f"{formatting.duration(min(own.valid_ms, policy.valid_ms))}"
+        f"{duration(min(own.valid_ms, policy.valid_ms))}"
     )
 
 
@@ -238,7 +239,7 @@ def _sources(mission: Mission, site: Site) -> Iterator[str]:
 
 def _retention(mission: Mission) -> Iterator[str]:
     for data, kept_ms in sorted(mission.retention.items()):
-        kept = formatting.duration(kept_ms)
+        kept = duration(kept_ms)
         yield f"Sealed {data} fields are destroyed {kept} after the mission expires"
 
 

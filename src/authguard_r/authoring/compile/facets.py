@@ -17,6 +17,7 @@ from authguard_r.core.mission import Closing, Grant, Guard, Limit, Mission, Risk
 from authguard_r.core.provenance import WIDEST, Chooser, SourceField
 from authguard_r.core.quantities import to_ms
 from authguard_r.site import formatting
+from authguard_r.site.durations import duration
 from authguard_r.site.model import Site
 
 
@@ -194,7 +195,7 @@ def _sources(mission: Mission) -> Iterator[Named]:
         for label in signed.get(field, tuple(sorted(WIDEST[field]))):
             yield _there("", f"{field} may be set by", label, Bears.WIDENS)
     for data, kept_ms in mission.retention.items():
-        yield _plain(f"sealed {data} fields are kept for", formatting.duration(kept_ms))
+        yield _plain(f"sealed {data} fields are kept for", duration(kept_ms))
     for name, weight in mission.risk_policy.field_weights.items():
         yield _plain(f"weight of {name} in the deviation:", str(weight))
 
@@ -258,7 +259,7 @@ def _limits(
 
 
 def _time(owner: str, label: str, value: int, more: Bears = Bears.WIDENS) -> Named:
-    return _sized(owner, label, formatting.duration(value), value, more)
+    return _sized(owner, label, duration(value), value, more)
 
 
 def _sized(owner: str, label: str, value: str, size: int, more: Bears) -> Named:

@@ -13,6 +13,7 @@ from authguard_r.core.mission import Grant
 from authguard_r.core.quantities import to_ms
 from authguard_r.enforcement.confirmation import LintCode
 from authguard_r.site import formatting
+from authguard_r.site.durations import duration
 from authguard_r.site.model import ActionModel
 
 #: Types that bear an object's weight.
@@ -63,11 +64,11 @@ def open_retention(scene: LintScene) -> Iterator[LintFinding]:
             text = "records under a budget of nothing"
             yield _retention("budgets.recorded_bytes", grant, text, "say how much in all")
         if grant.data.store and length > measures.retention_ms:
-            most = formatting.duration(measures.retention_ms)
+            most = duration(measures.retention_ms)
             yield _retention(
                 f"{place}.data.store",
                 grant,
-                f"keeps recordings until the mission ends, after {formatting.duration(length)}",
+                f"keeps recordings until the mission ends, after {duration(length)}",
                 f"end the mission within {most}, or do not store",
             )
 
@@ -86,9 +87,9 @@ def long_window(scene: LintScene) -> Iterator[LintFinding]:
         yield warning(
             LintCode.WINDOW_LONG,
             "expiry",
-            f"the mission is valid for {formatting.duration(length)}; all its actions together "
-            f"take at most {formatting.duration(needed)}",
-            f"end it after {formatting.duration(longest)} at the latest",
+            f"the mission is valid for {duration(length)}; all its actions together "
+            f"take at most {duration(needed)}",
+            f"end it after {duration(longest)} at the latest",
         )
 
 
@@ -110,8 +111,8 @@ def unbounded_streams(scene: LintScene) -> Iterator[LintFinding]:
             yield error(
                 LintCode.STREAM_UNBOUNDED,
                 f"actions[{number}].max_ms",
-                f"`{grant.id}` may drive for {formatting.duration(grant.max_ms)} on one decision",
-                f"let one lease last at most {formatting.duration(longest)}",
+                f"`{grant.id}` may drive for {duration(grant.max_ms)} on one decision",
+                f"let one lease last at most {duration(longest)}",
             )
 
 

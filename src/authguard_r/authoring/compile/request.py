@@ -13,6 +13,7 @@ from authguard_r.client.approvals import ShownRequest
 from authguard_r.core.action import ActionScope
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.site import formatting
+from authguard_r.site.durations import duration
 from authguard_r.site.model import Site
 from authguard_r.wire.approval_request import ApprovalAnswer, Question
 
@@ -121,7 +122,7 @@ def _left(question: Question) -> str:
     """Return how long is left; whole seconds, never more than there is."""
     if question.left_ms < 0:
         return "RAN OUT"
-    return f"{formatting.duration(question.left_ms // 1_000 * 1_000)} left"
+    return f"{duration(question.left_ms // 1_000 * 1_000)} left"
 
 
 def _head(question: Question) -> str:

@@ -15,9 +15,9 @@ import msgspec
 from msgspec import Struct
 
 from authguard_r.audit.closed import closed_of
-from authguard_r.audit.record import Record, Sealed, read_record, read_sealed
+from authguard_r.audit.record import LogRow, Record, Sealed, read_record, read_sealed
 from authguard_r.audit.sealed_envelopes import ACT
-from authguard_r.audit.verify import LogRow, Verification, verify_rows
+from authguard_r.audit.verify import Verification, verify_rows
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import unb64
 from authguard_r.core.errors import MalformedError, RefusedError

@@ -22,7 +22,7 @@ from authguard_r.enforcement.templates.template import (
     place_of,
     require_sound,
 )
-from authguard_r.site import formatting
+from authguard_r.site.durations import duration
 from authguard_r.site.model import Site
 
 
@@ -98,8 +98,8 @@ def _head(template: Template, count: int) -> Iterator[str]:
     rate = template.rate
     yield f"Template {template.template}: signed once, for at most {template.instances} missions"
     yield (
-        f"  at most {rate.count} in {formatting.duration(rate.per_ms)}; each valid at most "
-        f"{formatting.duration(template.for_ms)}, none after {template.not_after}"
+        f"  at most {rate.count} in {duration(rate.per_ms)}; each valid at most "
+        f"{duration(template.for_ms)}, none after {template.not_after}"
     )
     yield "  a scheduler, not you, fills it each time; any value of a hole with any of another"
     for name, hole in sorted(template.holes.items()):

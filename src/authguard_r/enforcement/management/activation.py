@@ -28,7 +28,7 @@ from authguard_r.enforcement.confirmation import signed_inputs
 from authguard_r.enforcement.management.parts import ManagementParts, entry, refuse, replayed
 from authguard_r.enforcement.management.repetition import Used, use_instance
 from authguard_r.enforcement.management.rollback import require_later
-from authguard_r.site.formatting import duration
+from authguard_r.site.durations import duration
 from authguard_r.store.issued_missions import (
     MOST_ISSUED,
     hold_issued,
