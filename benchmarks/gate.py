@@ -27,7 +27,7 @@ from authguard_r.provenance.context import ContextLedger
 from authguard_r.safety import EnvelopeGate, default_config
 from authguard_r.server.process import DELAY_MS
 from authguard_r.server.proposals import Keeper, ProposalRecord
-from authguard_r.server.wiring import assemble
+from authguard_r.server.wiring import LogSettings, assemble
 from authguard_r.sim.robot import SymbolicRobot
 from authguard_r.sim.world import initial_state
 from authguard_r.store.refusals import RefusalPolicy
@@ -141,9 +141,8 @@ class _Twin:
             source=self._robot,
             clock=self._robot,
             store=open_store(path, reserve_bytes=bounds.reserve_bytes),
-            genesis={},
+            log=LogSettings(refusals=RefusalPolicy(delay_ms=DELAY_MS, fold_ms=bounds.fold_ms)),
             demo=True,
-            refusals=RefusalPolicy(delay_ms=DELAY_MS, fold_ms=bounds.fold_ms),
             stand_within_ms=bounds.stand_within_ms,
         )
         self._binder = Binder(site, scenarios.binding())

@@ -38,7 +38,7 @@ from authguard_r.normalize import Binder, Step, normalize  # noqa: E402
 from authguard_r.provenance.context import ContextLedger  # noqa: E402
 from authguard_r.provenance.labels import label_fields  # noqa: E402
 from authguard_r.safety import EnvelopeGate, default_config, safety_digest  # noqa: E402
-from authguard_r.server.wiring import Gate, assemble  # noqa: E402
+from authguard_r.server.wiring import Gate, LogSettings, assemble  # noqa: E402
 from authguard_r.sim.robot import snapshot_of  # noqa: E402
 from fixtures import gate_process, scenarios  # noqa: E402, F401 - the tests' fixtures
 
@@ -242,8 +242,8 @@ def bench(store: Store, *, trust: Any = None) -> Bench:
         source=machine,
         clock=machine,
         store=store,
-        genesis={"safety": safety_digest(safety)},
-        sealed={"safety": safety},  # a replay makes the second gate's verdict again
+        # a replay makes the second gate's verdict again
+        log=LogSettings(genesis={"safety": safety_digest(safety)}, sealed={"safety": safety}),
         demo=True,
     )
     binder = Binder(scenarios.site(), scenarios.binding())

@@ -258,6 +258,15 @@ def binding_of(mission: Json, digest: str, grant: Json, action: Json, *, robot: 
     }
 
 
+def strictest(
+    policies: list[Json], action: Json, state: Json | None, *, facts: Json, now: Json
+) -> tuple[int, int, int]:
+    """Return Req(a, s), the tier and rho(a, s) of the policy that requires most."""
+    scores = [(policy, rho(policy, action, state, facts, now)) for policy in policies]
+    levels = [(policy, tier_of(policy, score), score) for policy, score in scores]
+    return max((required_of(policy, level), level, score) for policy, level, score in levels)
+
+
 def step_7(
     mission: Json,
     digest: str,
@@ -286,7 +295,7 @@ def step_7(
         now: The two clocks.
         standing: The standing, or None.
         approvals: The authentic answers.
-        preapprovals: What was itemed to before anybody asked.
+        preapprovals: What was agreed to before anybody asked.
         issuer: The issuer as its certificate names it; None for one person.
 
     Returns:
@@ -294,10 +303,8 @@ def step_7(
         in for the approvals, or None.
     """
     policies = policies_of(mission, facts)
-    scores = [(policy, rho(policy, action, state, facts, now)) for policy in policies]
-    levels = [(policy, tier_of(policy, score), score) for policy, score in scores]
-    wanted = [(required_of(policy, level), level, score) for policy, level, score in levels]
-    required, tier, risk = max(wanted)  # the strictest
+    issuer = issuer or {"id": mission["issuer"]}
+    required, tier, risk = strictest(policies, action, state, facts=facts, now=now)
     expected = binding_of(mission, digest, grant, action, robot=facts["robot"])
     expected["situation"] = situation_of(mission, grant, tier, state=state, facts=facts, now=now)
     request = None if standing is None else standing.get("requests", {}).get(grant["id"])
@@ -307,7 +314,7 @@ def step_7(
         request,
         required=required,
         mission=mission,
-        issuer=issuer or {"id": mission["issuer"]},
+        issuer=issuer,
         policies=policies,
         action=action,
         approvals=approvals,
@@ -317,8 +324,7 @@ def step_7(
     is_denied = request is not None and request.get("denied", False)
     if finding not in ("", "APPROVAL_DENIED") and tier == 2 and not is_denied:
         seen: Json = {"policies": policies, "action": action, "now": now, "standing": standing}
-        seen |= {"issuer": issuer or {"id": mission["issuer"]}, "robot": facts["robot"]}
-        seen |= {"risk": risk, "required": required}
+        seen |= {"issuer": issuer, "robot": facts["robot"], "risk": risk, "required": required}
         for item in preapprovals:
             if is_covered(mission, digest, grant, row, item=item, **seen):
                 return [], required, risk, item["digest"]

@@ -21,7 +21,7 @@ import pytest
 
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.enforcement.emergency.policy import EmergencyPolicy
-from authguard_r.server.emergency_wiring import STRANGE
+from authguard_r.server.emergencies import STRANGE
 from authguard_r.wire.messages import ClientRole, Kind
 from fixtures import emergency_policies, scenarios
 from fixtures.emergency_files import forge, record

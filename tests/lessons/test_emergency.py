@@ -7,7 +7,7 @@ from pathlib import Path
 
 from authguard_r.core.errors import ControllerError
 from authguard_r.enforcement.emergency.policy import Caller
-from authguard_r.server.emergency_wiring import STRANGE
+from authguard_r.server.emergencies import STRANGE
 from authguard_r.wire.messages import ClientRole
 from fixtures import emergency_policies, scenarios
 from fixtures.emergency_files import forge, record
@@ -38,11 +38,11 @@ def test_tries_that_did_not_start_used_up_what_was_left_for_a_person() -> None:
 
     with Ward(TWICE, at="station-103") as house:
         assert house.remote is not None
-        house.remote.admit_with(refuse)
+        house.admit = refuse
         guest, person = planner(house), house.enter(ClientRole.OPERATOR, "nurse")
         for _ in range(3):
             assert house.call(guest, "go-safe")["execution"]["outcome"] == "not_started"
-        house.remote.admit_with(lambda *_: None)
+        house.admit = lambda *_: None
         for caller in (guest, person):
             for _ in range(2):
                 assert house.call(caller, "go-safe")["execution"]["outcome"] == "succeeded"

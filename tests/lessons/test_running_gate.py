@@ -65,7 +65,7 @@ ASKED: dict[Kind, Any] = {
 }
 #: What the enforcer does for effect, and whether it can begin a motion.
 VERBS = {
-    "before_first": False,
+    "require": False,
     "propose": True,
     "refuse_plan": False,
     "settle_stops": False,
@@ -171,7 +171,7 @@ def test_l1_every_verb_of_the_enforcer_that_begins_a_motion_goes_down_the_road()
     enforcer = sim.gate.enforcer
     enforcer.stop(by="anybody", is_planner=False)
     enforcer.stopped(by="anybody", is_planner=True, why="go to the pharmacy")
-    enforcer.before_first(lambda: None)
+    enforcer.require(lambda: None)
     assert enforcer.settle_stops() is True
     enforcer.refuse_plan(MalformedError("no plan"), planner="planner", inputs={"plan": "scan()"})
     assert sim.robot.trace == []

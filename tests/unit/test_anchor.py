@@ -36,7 +36,7 @@ from authguard_r.keys.trust import read_trust
 from authguard_r.operations.offline import offline_gate
 from authguard_r.operations.simulation import Simulation, simulate
 from authguard_r.safety import EnvelopeGate, default_config
-from authguard_r.server.wiring import assemble
+from authguard_r.server.wiring import LogSettings, assemble
 from authguard_r.store.memory import MemoryStore
 from authguard_r.store.sqlite import open_store, read_held
 from fixtures import scenarios
@@ -712,10 +712,11 @@ def test_a_machine_without_a_clock_serves_stops_and_waits(robot: Robot) -> None:
             source=clock,
             clock=Stopped(at_ms),
             store=open_store(robot.store),
-            genesis={},
+            log=LogSettings(
+                counter=FileCounter(robot.counter),
+                signer=folder_signer(scenarios.trust_folder(), "gate-courier-1"),
+            ),
             demo=True,
-            counter=FileCounter(robot.counter),
-            signer=folder_signer(scenarios.trust_folder(), "gate-courier-1"),
         )
         assert gate.anchor.why is None
         assert refused(lambda made=gate: made.ledger.now()) is Reason.CLOCK_BEHIND
@@ -737,7 +738,6 @@ def test_a_new_store_on_a_machine_without_a_clock_does_not_begin_in_1970() -> No
         source=robot,
         clock=Stopped(0),
         store=MemoryStore(),
-        genesis={},
         demo=True,
     )
     assert refused(gate.ledger.now) is Reason.CLOCK_BEHIND

@@ -332,7 +332,7 @@ def test_status_and_metrics_show_the_mission_and_why_it_authorizes_nothing(folde
         ward.house.activate()
         assert auditor.ask(Kind.STATUS)["mission"]["void"] is None
         ward.list()
-        ward.house.service.view.mission_changed()
+        ward.house.service.queries.mission.changed()
         shown = auditor.ask(Kind.STATUS)["mission"]
         assert (shown["mid"], shown["status"]) == ("first", "active")
         assert shown["void"] == "CERTIFICATE_REVOKED"
@@ -343,7 +343,7 @@ def test_silence_is_told_of_under_a_lost_signature(folder: Path) -> None:
     with Ward(folder, planner_silence_ms=1_000) as ward:
         ward.house.activate()
         ward.list()
-        ward.house.service.view.mission_changed()
+        ward.house.service.queries.mission.changed()
         for _ in range(3):
             ward.house.advance(1_000)
             ward.house.service._listen()
@@ -356,9 +356,9 @@ def test_silence_is_told_of_without_a_disk(folder: Path) -> None:
         ward.house.activate()
         ward.house.service._listen()
         disk.dead = True
-        ward.house.service.view.mission_changed()
+        ward.house.service.queries.mission.changed()
         with pytest.raises(EnvironmentFault):
-            assert ward.house.service.view.mission_status
+            assert ward.house.service.queries.mission.status
         for _ in range(3):
             ward.house.advance(1_000)
             ward.house.service._listen()

@@ -53,7 +53,7 @@ def test_another_planners_stops_are_not_swallowed_by_its_count() -> None:
     with House() as house:
         house.activate()
         for _ in range(budget() + 5):
-            house.stop(ClientRole.PLANNER, house.service.view.stops + 1)
+            house.stop(ClientRole.PLANNER, house.service.queries.stops + 1)
         before = len(house.log("stop"))
         house.stop(ClientRole.PLANNER, 10**6, by="other")
         house.stop(ClientRole.AUDITOR, 10**6 + 1)

@@ -15,7 +15,7 @@ from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
 from authguard_r.operations.offline import offline_gate
 from authguard_r.safety import EnvelopeGate, default_config
-from authguard_r.server.wiring import assemble
+from authguard_r.server.wiring import LogSettings, assemble
 from authguard_r.store.clocks import SystemClock, store_clock
 from authguard_r.store.memory import MemoryStore
 from authguard_r.store.sqlite import open_store
@@ -34,7 +34,6 @@ def parts(name: str = "gate-courier-1", **changes):  # type: ignore[no-untyped-d
         "source": sim.robot,
         "clock": sim.robot,
         "store": MemoryStore(),
-        "genesis": {},
     }
     return {**fields, **changes}
 
@@ -130,17 +129,18 @@ def test_a_log_that_began_under_another_root_is_refused_and_let_go(tmp_path, oth
 
 @pytest.mark.parametrize(("first", "then"), [("shadow", "enforce"), ("enforce", "shadow")])
 def test_each_mode_has_a_store_of_its_own(first: str, then: str, tmp_path) -> None:  # type: ignore[no-untyped-def]
-    marks = {"shadow": {"mode": "shadow"}, "enforce": {}}
+    logs = {"shadow": LogSettings(marks={"mode": "shadow"}), "enforce": LogSettings()}
     path = tmp_path / "robot.db"
-    assemble(**parts(store=open_store(path)), demo=True, marks=marks[first]).close()
+    assemble(**parts(store=open_store(path)), demo=True, log=logs[first]).close()
     with pytest.raises(StoreError, match=f"began in mode `{first}`"):
-        assemble(**parts(store=open_store(path)), demo=True, marks=marks[then])
-    assemble(**parts(store=open_store(path)), demo=True, marks=marks[first]).close()
+        assemble(**parts(store=open_store(path)), demo=True, log=logs[then])
+    assemble(**parts(store=open_store(path)), demo=True, log=logs[first]).close()
 
 
 def test_a_log_that_does_not_say_whose_it_is_goes_on_enforcing_and_nothing_else() -> None:
     clock, store = SystemClock(), MemoryStore()
     Ledger(store, clock, robot=scenarios.RID, salts=os.urandom, genesis={})
     assert assemble(**parts(store=store, clock=clock), demo=True).ledger.store is store
+    shadow = LogSettings(marks={"mode": "shadow"})
     with pytest.raises(StoreError, match="mode `enforce`"):
-        assemble(**parts(store=store, clock=clock), demo=True, marks={"mode": "shadow"})
+        assemble(**parts(store=store, clock=clock), demo=True, log=shadow)

@@ -76,6 +76,7 @@ class Enforcer:
         safety: the second gate.
         watch: holds the actuators, nobody else has them, and looks at open leases.
         clock: for the pauses between two looks at a lease.
+        first: what must succeed before the first proposal is decided: recovery, when a gate starts.
     """
 
     def __init__(
@@ -87,6 +88,7 @@ class Enforcer:
         safety: SafetyGate,
         watch: LeaseMonitor,
         clock: Clock,
+        first: Callable[[], object] | None = None,
     ) -> None:
         self._ledger = ledger
         self.intake = intake
@@ -95,11 +97,16 @@ class Enforcer:
         self._watch = watch
         self.stopping = RecordedStops(ledger, intake)
         self._clock = clock
-        self._first: Callable[[], object] = lambda: None
+        self._conditions = [] if first is None else [first]
 
-    def before_first(self, act: Callable[[], object]) -> None:
-        """Do this before the first proposal is decided: recovery, when a gate starts."""
-        self._first = act
+    def require(self, condition: Callable[[], object]) -> None:
+        """Refuse every proposal until this condition has passed once.
+
+        Args:
+            condition: raises `AuthGuardError` while proposals must be refused.
+        """
+        if condition not in self._conditions:
+            self._conditions.append(condition)
 
     def propose(
         self,
@@ -163,8 +170,7 @@ class Enforcer:
         try:
             self._require_suspended()
             self._watch.settle_owed()
-            self._first()
-            self._first = lambda: None
+            self._require_conditions()
             self.intake.refresh()
             report = self._ledger.run(job)
         except AuthGuardError as error:
@@ -178,6 +184,16 @@ class Enforcer:
         """Write what an operator's stop has to change, if it is not on disk; True once it is."""
         self.stopping.settle()
         return not self.stopping.owes
+
+    def _require_conditions(self) -> None:
+        """Check each condition until it has passed once.
+
+        Raises:
+            AuthGuardError: one does not pass; it and those after it are checked again next time.
+        """
+        while self._conditions:
+            self._conditions[0]()
+            del self._conditions[0]
 
     def _require_suspended(self) -> None:
         """Refuse everything while an operator's stop has not taken its effect on disk.

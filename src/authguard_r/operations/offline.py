@@ -16,7 +16,7 @@ from authguard_r.core.ports import GoalHandle
 from authguard_r.keys.signer import folder_signer, gate_name
 from authguard_r.keys.trust import read_trust
 from authguard_r.safety import default_config, gate_of
-from authguard_r.server.wiring import Gate, assemble
+from authguard_r.server.wiring import Gate, LogSettings, assemble
 from authguard_r.site.model import Site
 from authguard_r.store.clocks import SIMULATED, store_clock
 from authguard_r.store.sqlite import open_store
@@ -69,8 +69,7 @@ def offline_gate(
         source=nothing,
         clock=store_clock(store),
         store=open_store(store),
-        genesis={"clock": SIMULATED},  # only a demo folder gets here, and its robot is symbolic
+        # only a demo folder gets here, and its robot is symbolic
+        log=LogSettings(genesis={"clock": SIMULATED}, counter=counter, signer=signer),
         demo=True,
-        counter=counter,
-        signer=signer,
     )

@@ -15,7 +15,7 @@ from authguard_r.keys.trust import read_trust
 from authguard_r.normalize import Binder
 from authguard_r.normalize.binding import Binding, binding_digest
 from authguard_r.safety import SafetyConfig, default_config, gate_of, safety_digest
-from authguard_r.server.wiring import Gate, assemble
+from authguard_r.server.wiring import Gate, LogSettings, assemble
 from authguard_r.sim.robot import Faults, SymbolicRobot
 from authguard_r.sim.state import WorldState
 from authguard_r.sim.world import initial_state
@@ -73,7 +73,6 @@ def simulate(
     Raises:
         AuthGuardError: a part is missing, not authentic or not usable.
     """
-    trust = read_trust(folder)
     robot = SymbolicRobot(
         site,
         rid,
@@ -85,9 +84,13 @@ def simulate(
     )
     signer = folder_signer(folder, gate_name(rid))
     config = safety or default_config(site, rid)
-    digests = {"binding": binding_digest(binding), "safety": safety_digest(config)}
+    genesis: dict[str, object] = {
+        "binding": binding_digest(binding),
+        "safety": safety_digest(config),
+        "clock": SIMULATED,
+    }
     gate = assemble(
-        trust=trust,
+        trust=read_trust(folder),
         chain=signer.chain,
         site=site,
         safety=gate_of(config),
@@ -95,11 +98,9 @@ def simulate(
         source=robot,
         clock=robot,
         store=MemoryStore() if store is None else open_store(store),
-        genesis={**digests, "clock": SIMULATED},
-        sealed={"safety": config},
+        log=LogSettings(genesis=genesis, sealed={"safety": config}, counter=counter, signer=signer),
         demo=True,
-        counter=counter,
-        signer=signer,
     )
-    binder = Binder(site, binding)
-    return Simulation(gate=gate, robot=robot, binder=binder, signer=signer, store=store)
+    return Simulation(
+        gate=gate, robot=robot, binder=Binder(site, binding), signer=signer, store=store
+    )

@@ -45,15 +45,13 @@ def brakes_of(
 ) -> Braking:
     """Return who carries out the stops that come to a gate itself."""
     here = remote is None and mode is Mode.ENFORCE
-    made = Braking(
+    return Braking(
         gate.watch.controller,
         remote,
         book=book,
         stands=(lambda: not motions) if here else None,
         mono_ms=gate.ledger.mono_ms,
     )
-    motions.beside.append(made.look)
-    return made
 
 
 class _PendingBrake(Struct):

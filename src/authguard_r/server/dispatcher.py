@@ -69,10 +69,13 @@ class Dispatcher:
         gate: enforcer, management, ledger.
         plans: planners' proposals.
         motions: open leases.
+        look: looks at every open lease.
         inbox: where snapshots go.
         view: what may be read.
         controller: the controller's end; None where the gate has none.
         streams: open streams; None where the gate has none.
+        emergencies: emergency calls; None where no policy was signed.
+        questions: open approval requests.
         publish: tells everybody who watches.
         rest: lets the rest of a request wait for its client's next turn.
         first: settles what has to be settled before a request of a kind; raises while it cannot.
@@ -86,10 +89,13 @@ class Dispatcher:
         *,
         plans: Plans,
         motions: LeaseRegistry,
+        look: Callable[[], None],
         inbox: StateInbox,
         view: GateQueries,
         controller: RemoteController | None,
         streams: Streams | None,
+        emergencies: EmergencyCalls | None,
+        questions: OpenQuestions,
         publish: Publish,
         first: Callable[[Kind], None],
         rest: Callable[[ServedClient, Callable[[], None]], None],
@@ -99,8 +105,8 @@ class Dispatcher:
         self._gate = gate
         self._plans = plans
         self._motions = motions
+        self._look = look
         self._inbox = inbox
-        motions.beside.append(plans.foresight.look)
         self._view = view
         self._controller = controller
         self._streams = streams
@@ -108,10 +114,8 @@ class Dispatcher:
         self._first = first
         self._rest = rest
         self._answered, self._refused = answered, refused
-        #: the emergency road; None where no policy was signed
-        self.rescues: EmergencyCalls | None = None
-        #: open approval requests
-        self.questions = OpenQuestions(gate, publish)
+        self._emergencies = emergencies
+        self._questions = questions
         self._acts = _orders_of(gate)
         self._table: dict[Kind, Callable[[ServedClient, int, Any], None]] = {
             Kind.PROPOSE: self._propose,
@@ -179,13 +183,13 @@ class Dispatcher:
         return self._streams
 
     def _emergency(self, client: ServedClient, number: int, asked: Emergency) -> None:
-        if self.rescues is None:
+        if self._emergencies is None:
             raise RefusedError(
                 "no emergency policy is here",
                 reason=Reason.ACTION_OUT_OF_SCOPE,
                 where="capability",
             )
-        self.rescues.call(client, number, asked)
+        self._emergencies.call(client, number, asked)
 
     def _attest(self, client: ServedClient, number: int, attested: Attest) -> None:
         """Take a snapshot in and look at every lease; the log has why one was not taken in."""
@@ -199,7 +203,7 @@ class Dispatcher:
         self._inbox.put(attested.token, client)
         intake.refresh()
         state = intake.newest
-        self._motions.look()
+        self._look()
         if intake.fault is not None:
             raise intake.fault
         taken = None if state is None else (state.snapshot.epoch, state.snapshot.seq)
@@ -210,10 +214,10 @@ class Dispatcher:
         try:
             done = self._acts[order.act](order)
         finally:
-            self._motions.look()
-            self._view.mission_changed()  # a refused order may have ended an issued mission
+            self._look()
+            self._view.mission.changed()  # a refused order may have ended an issued mission
         if isinstance(done, VerifiedApproval):
-            answer: dict[str, Any] = self.questions.answered(done)
+            answer: dict[str, Any] = self._questions.answered(done)
         else:
             answer = {_NAMED.get(type(done), "standing"): msgspec.to_builtins(done)}
         self._publish({"event": "management", "act": order.act, "by": client.name})
@@ -242,7 +246,7 @@ class Dispatcher:
 
     def _approvals(self, client: ServedClient, number: int, asked: Approvals) -> None:
         try:
-            client.reply(number, msgspec.to_builtins(self.questions.told(asked.counter)))
+            client.reply(number, msgspec.to_builtins(self._questions.told(asked.counter)))
         except RefusedError as error:  # a question without an answer is nobody's attempt
             client.error(number, to_fault(error))
 
@@ -256,7 +260,7 @@ class Dispatcher:
     def _hear(self, client: ServedClient, number: int, said: Any) -> None:  # noqa: ARG002
         if self._controller is not None:
             self._controller.hear(said, number)
-            self._motions.look()
+            self._look()
 
     def _result(self, client: ServedClient, number: int, said: Result) -> None:  # noqa: ARG002
         self._motions.tell(said)

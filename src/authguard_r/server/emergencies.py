@@ -45,6 +45,8 @@ FLUSH_MS = 100
 #: What the gate calls and could not begin is called again after so long, in milliseconds; after
 #: twice the time of before when that left records, at last after the second number.
 AGAIN_MS, AGAIN_AT_LAST_MS = 1_000, 64_000
+#: The alert about an emergency journal that holds entries that this gate did not write.
+STRANGE = "the emergency journal is not authentic"
 _GATE = Identifier("gate")
 _CALLERS = {ClientRole.PLANNER: Caller.PLANNER, ClientRole.OPERATOR: Caller.OPERATOR}
 
@@ -88,6 +90,7 @@ class EmergencyCalls:
         liveness: alerts.
         publish: tells everybody who watches.
         state_wait_ms: once the robot stands, a call waits so long at most for newer state.
+        closing: returns True once the gate ends: nothing is begun then.
     """
 
     def __init__(
@@ -100,6 +103,7 @@ class EmergencyCalls:
         liveness: Liveness,
         publish: Callable[[dict[str, Any]], None],
         state_wait_ms: int,
+        closing: Callable[[], bool],
     ) -> None:
         self._rescue = rescue
         self._enforcer = enforcer
@@ -116,8 +120,7 @@ class EmergencyCalls:
         self._met: set[Identifier] = set()
         self._failed: dict[Identifier, _Failed] = {}
         self._flushed_ms = 0
-        #: true once the gate ends: nothing is begun any more
-        self.closing: Callable[[], bool] = lambda: False
+        self._closing = closing
 
     def shown(self) -> dict[str, Any]:
         """Return what `status` says of emergencies."""
@@ -167,7 +170,7 @@ class EmergencyCalls:
             self._rescue.log.flush()
         if self._waiting is not None:
             self._go_on(self._waiting, now_ms)
-        elif self._running is None and not self.closing():
+        elif self._running is None and not self._closing():
             self._watch(now_ms)
 
     # one call
@@ -182,7 +185,7 @@ class EmergencyCalls:
         elif hindered := self._hindered():
             self._refuse(asked, call, hindered, is_false=False)
         else:
-            self._enforcer.before_first(self._require_over)
+            self._enforcer.require(self._require_over)
             until_ms = self._rescue.watch.mono_ms() + self._rescue.watch.stand_within_ms
             self._waiting = _PendingCall(asked, until_ms)
             if self._motions:
@@ -220,7 +223,7 @@ class EmergencyCalls:
         Args:
             begins: now, and not once the robot stands.
         """
-        if self.closing():
+        if self._closing():
             return (Finding("gate", Reason.BUSY, "a gate that serves", "one that ends"),)
         if self._controller is not None and not self._controller.connected:
             away = Finding("controller", Reason.CONTROLLER_FAILED, "a connected one", "none")

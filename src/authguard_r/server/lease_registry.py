@@ -64,8 +64,6 @@ class LeaseRegistry:
         self._controller = controller
         self._streams = streams
         self._open: dict[Digest, _Motion] = {}
-        #: done after each look: what is not a motion yet
-        self.beside: list[Callable[[], None]] = []
 
     def __len__(self) -> int:
         return len(self._open)
@@ -116,8 +114,6 @@ class LeaseRegistry:
                 self._end(ticket, motion, report)
             elif motion.running.holds and self._controller is not None:
                 self._controller.renew(ticket)
-        for look in self.beside:
-            look()
 
     def leases(self) -> tuple[OpenLease, ...]:
         """Return what is open."""

@@ -56,6 +56,7 @@ class Liveness:
         config: how long and how many.
         mono_ms: the monotonic clock.
         raise_alert: records and publishes one; called with what it is and its details.
+        mission: returns the mission that has not ended.
     """
 
     def __init__(
@@ -63,6 +64,7 @@ class Liveness:
         config: GateConfig,
         mono_ms: Callable[[], int],
         raise_alert: Callable[[str, dict[str, Any]], None],
+        mission: Callable[[], MissionPhase | None] = lambda: None,
     ) -> None:
         self._config = config
         self._mono_ms = mono_ms
@@ -72,8 +74,7 @@ class Liveness:
         self._refused: dict[str, int] = {}
         self._asked: dict[str, Digest] = {}
         self._phase: MissionPhase | None = None
-        #: Says which mission has not ended; the gate's `View` sets it.
-        self.mission: Callable[[], MissionPhase | None] = lambda: None
+        self._mission = mission
         self._active = False
         self._since_ms = mono_ms()
         self.alerts: deque[dict[str, Any]] = deque(maxlen=_SHOWN)
@@ -144,7 +145,7 @@ class Liveness:
 
         To be called before such an alert is raised, or it would end with the mission before.
         """
-        before, self._phase = self._phase, self.mission()
+        before, self._phase = self._phase, self._mission()
         if self._phase != before:
             self._refused.clear()
             self._asked.clear()

@@ -15,7 +15,7 @@ from authguard_r.server.event_bus import EventBus
 from authguard_r.server.liveness import Liveness
 
 
-def notary_policy(config: GateConfig) -> CheckpointPolicy:
+def checkpoint_policy(config: GateConfig) -> CheckpointPolicy:
     """Return when checkpoints are made, and who witnesses them."""
     return CheckpointPolicy(
         records=config.checkpoint_records,
@@ -38,14 +38,20 @@ class LogMaintenance:
         anchor: the store, and what is outside of it.
         liveness: keeps alerts for `status`.
         notices: records and publishes them.
+        rotation: moves the oldest records out of the store; None where there is no file.
     """
 
-    def __init__(self, anchor: StoreAnchor, liveness: Liveness, notices: EventBus) -> None:
+    def __init__(
+        self,
+        anchor: StoreAnchor,
+        liveness: Liveness,
+        notices: EventBus,
+        rotation: Rotation | None = None,
+    ) -> None:
         self._anchor = anchor
         self._liveness = liveness
         self._notices = notices
-        #: Moves the oldest records out of the store; None where there is no file.
-        self.rotation: Rotation | None = None
+        self._rotation = rotation
 
     def begin(self) -> None:
         """Tell of a store that was put back before the gate started."""
@@ -59,8 +65,8 @@ class LogMaintenance:
         if self._anchor.put_back():
             return
         self._liveness.end(WHAT)  # a person has accepted the store, if it was put back
-        if self.rotation is not None:
-            for told in self.rotation.tick():
+        if self._rotation is not None:
+            for told in self._rotation.tick():
                 self._tell(told)
 
     def _tell(self, told: AnchorNotice) -> None:

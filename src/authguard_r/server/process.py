@@ -19,6 +19,7 @@ from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import msgspec
 from msgspec import Struct
@@ -29,17 +30,18 @@ from authguard_r.anchoring.sealing.policy import SealingPolicy
 from authguard_r.anchoring.sealing.stored_policy import hold_policy
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.identifiers import RobotId
-from authguard_r.core.ports import Clock, Controller, SafetyGate, StateSource
+from authguard_r.core.ports import Clock, Controller
 from authguard_r.core.reasons import Reason
+from authguard_r.enforcement.emergency_enforcer import EmergencyEnforcer
 from authguard_r.enforcement.leases import WATCH_MS
 from authguard_r.estop.supervisor import EStopSupervisor
 from authguard_r.normalize import Binder
 from authguard_r.normalize.binding import binding_digest
 from authguard_r.safety import gate_of, safety_digest
 from authguard_r.server.configurations import hold_configured
-from authguard_r.server.emergency_wiring import open_journal, open_road
+from authguard_r.server.emergency_wiring import open_emergency_enforcer, open_journal
 from authguard_r.server.event_log import EventLog
-from authguard_r.server.log_maintenance import notary_policy, rotation_policy
+from authguard_r.server.log_maintenance import checkpoint_policy, rotation_policy
 from authguard_r.server.parts import GateParts, SimulatedRobot
 from authguard_r.server.periodic import every
 from authguard_r.server.plan_reader import PlanReader
@@ -47,9 +49,10 @@ from authguard_r.server.recovery import Recovery
 from authguard_r.server.remote_controller import RemoteController, ShadowController
 from authguard_r.server.robot_lock import ANSWER_S, Lock, hold_robot, root_fingerprint
 from authguard_r.server.service import Service
+from authguard_r.server.service_parts import ServiceParts
 from authguard_r.server.state_inbox import StateInbox
-from authguard_r.server.streams import Streams
-from authguard_r.server.wiring import Gate, assemble
+from authguard_r.server.streams import StreamBounds, Streams
+from authguard_r.server.wiring import Gate, GateStore, LogSettings, join, open_gate_store
 from authguard_r.site.model import stopping_mm
 from authguard_r.store.clocks import SIMULATED, SystemClock
 from authguard_r.store.refusals import RefusalPolicy
@@ -80,16 +83,6 @@ class Rendezvous(Struct, frozen=True, kw_only=True):
     robot: RobotId
 
 
-class _Mounted(Struct, frozen=True):
-    """The ports of one gate, as its mode and its robot want them."""
-
-    controller: Controller
-    remote: RemoteController | None
-    source: StateSource
-    inbox: StateInbox
-    clock: Clock
-
-
 def run_gate(parts: GateParts, ready: Callable[[Rendezvous], None]) -> None:
     """Serve clients until SIGTERM or SIGINT; returns after everything is written and let go.
 
@@ -109,53 +102,57 @@ def run_gate(parts: GateParts, ready: Callable[[Rendezvous], None]) -> None:
     with ExitStack() as held:
         lock = _hold(parts)
         held.callback(lock.release)
-        mounted = _mount(parts)
-        safety = gate_of(parts.safety, asked_ms=ASKED_MS)
+        inbox = StateInbox()
         store = open_store(parts.store, reserve_bytes=parts.config.reserve_bytes)
-        gate = _assemble(parts, mounted, store, safety)
+        opened = _open_store(parts, store, inbox)
+        keeper = None if parts.lane is None else EStopSupervisor(parts.lane)
+        bounds = _stream_bounds(parts, opened)
+        remote = _remote(parts, opened, keeper, bounds)
+        gate = _join(parts, opened, _controller(parts, remote))
         held.callback(gate.close)
-        gate.enforcer.before_first(lambda: None)
-        if mounted.remote is not None:
-            mounted.remote.keep_time(gate.ledger.mono_ms)
         recovery = Recovery(gate.management, first=partial(hold_configured, parts, gate.management))
         recovery.begin()
         service = Service(
-            gate,
-            parts.config,
-            binder=Binder(parts.site, parts.binding),
-            reader=PlanReader(parts.site, parts.binding),
-            channels=dict(parts.site.channels),
-            signer=parts.signer,
-            inbox=mounted.inbox,
-            controller=mounted.remote,
-            streams=_streams(parts, gate, mounted.remote),
-            recovery=recovery,
-            journal=EventLog(parts.journal),
-            advance=_advance(parts),
+            ServiceParts(
+                gate=gate,
+                config=parts.config,
+                binder=Binder(parts.site, parts.binding),
+                reader=PlanReader(parts.site, parts.binding),
+                channels=dict(parts.site.channels),
+                signer=parts.signer,
+                inbox=inbox,
+                controller=remote,
+                streams=None if remote is None else Streams(gate.ledger, remote, bounds),
+                recovery=recovery,
+                journal=EventLog(parts.journal),
+                advance=_advance(parts),
+                rotation=_rotation(parts, gate, store),
+                emergency=_emergency(parts, gate, held),
+                free_bytes=partial(_free_bytes, parts.store.absolute().parent),
+                lane_alive=None if keeper is None else partial(_is_alive, keeper),
+            )
         )
-        service.view.free_bytes = partial(_free_bytes, parts.store.absolute().parent)
-        service.vigil.rotation = _rotation(parts, gate, store)
-        service.vigil.begin()
-        _rescue(parts, service, mounted.remote, held)
-        keeper = _keeper(parts, service, mounted.remote, held)
+        service.begin()
+        if keeper is not None:
+            held.callback(keeper.end)
+            keeper.start()
         asyncio.run(_serve(parts, service, keeper, lock=lock, ready=ready))
         if gate.ended():
             recovery.end()
         else:  # it starts as after a crash, and somebody is told why
-            service.notices.publish({"event": "alert", "what": "refusals could not be recorded"})
+            service.events.publish({"event": "alert", "what": "refusals could not be recorded"})
 
 
-def _rescue(
-    parts: GateParts, service: Service, remote: RemoteController | None, held: ExitStack
-) -> None:
-    """Open the emergency road, if a policy was signed; its journal first, then the log."""
+def _emergency(parts: GateParts, gate: Gate, held: ExitStack) -> EmergencyEnforcer | None:
+    """Return what carries out emergencies, if a policy was signed."""
     if parts.emergency is None:
-        return
+        return None
     beside = parts.store.with_name(f"{parts.store.name}.emergency")
-    journal = open_journal(parts.emergency.journal or beside, service.gate.ledger, parts.signer)
+    journal = open_journal(parts.emergency.journal or beside, gate.ledger, parts.signer)
     held.callback(journal.close)
-    road = open_road(service, parts.emergency.policy, journal, controller=remote)
-    held.callback(road.log.flush)
+    enforcer = open_emergency_enforcer(gate, parts.emergency.policy, journal)
+    held.callback(enforcer.log.flush)
+    return enforcer
 
 
 def _hold(parts: GateParts) -> Lock:
@@ -163,45 +160,73 @@ def _hold(parts: GateParts) -> Lock:
     return hold_robot(parts.config.robot, root, run=parts.run, key=parts.key, store=parts.store)
 
 
-def _mount(parts: GateParts) -> _Mounted:
-    """Return the ports: a connected controller and estimator, none in shadow, or a simulation."""
-    robot, clock, inbox = parts.simulated, SystemClock(), StateInbox()
-    shadow = parts.config.mode is Mode.SHADOW
-    if robot is not None:
-        return _Mounted(ShadowController() if shadow else robot, None, robot, inbox, robot)
-    if shadow:
-        return _Mounted(ShadowController(), None, inbox, inbox, clock)
-    remote = RemoteController(renew_within_ms=parts.config.renew_within_ms)
-    return _Mounted(remote, remote, inbox, inbox, clock)
-
-
-def _assemble(parts: GateParts, mounted: _Mounted, store: SqliteStore, safety: SafetyGate) -> Gate:
+def _open_store(parts: GateParts, store: SqliteStore, inbox: StateInbox) -> GateStore:
+    """Return the store, open, with a connected estimator or a simulated one."""
     named = {"binding": binding_digest(parts.binding), "safety": safety_digest(parts.safety)}
-    clock = {"clock": SIMULATED} if parts.simulated is not None else {}
+    clock = {} if parts.simulated is None else {"clock": SIMULATED}
     sealing = SealingPolicy(readers=parts.config.readers, retention=parts.config.retention)
-    gate = assemble(
+    log = LogSettings(
+        genesis={**named, **clock},
+        sealed={"safety": parts.safety},
+        marks={"mode": str(Mode.SHADOW)} if parts.config.mode is Mode.SHADOW else {},
+        refusals=_policy(parts.config),
+        checkpoints=checkpoint_policy(parts.config),
+        sealing=sealing,
+        counter=parts.counter,
+        signer=parts.signer,
+    )
+    return open_gate_store(
+        store,
         trust=parts.trust,
         chain=parts.signer.chain,
         site=parts.site,
-        safety=safety,
-        controller=mounted.controller,
-        source=mounted.source,
-        clock=mounted.clock,
-        store=store,
-        genesis={**named, **clock},
-        sealed={"safety": parts.safety},
+        source=parts.simulated or inbox,
+        clock=_clock(parts),
+        log=log,
         demo=parts.demo,
-        refusals=_policy(parts.config),
-        stand_within_ms=parts.config.stand_within_ms,
-        marks={"mode": str(Mode.SHADOW)} if parts.config.mode is Mode.SHADOW else {},
         risk=() if parts.risk is None else (parts.risk.policy.policy,),
-        counter=parts.counter,
-        signer=parts.signer,
-        notary=notary_policy(parts.config),
-        sealing=sealing,
     )
-    hold_policy(store, sealing)  # once it is known that the store is this gate's
+
+
+def _join(parts: GateParts, opened: GateStore, controller: Controller) -> Gate:
+    gate = join(
+        opened,
+        safety=gate_of(parts.safety, asked_ms=ASKED_MS),
+        controller=controller,
+        clock=_clock(parts),
+        stand_within_ms=parts.config.stand_within_ms,
+        recovers=False,
+    )
+    hold_policy(gate.ledger.store, opened.sealing)  # once it is known that the store is this gate's
     return gate
+
+
+def _controller(parts: GateParts, remote: RemoteController | None) -> Controller:
+    """Return the controller: connected, in this process, or none in shadow mode."""
+    if parts.config.mode is Mode.SHADOW:
+        return ShadowController()
+    return parts.simulated or remote or ShadowController()
+
+
+def _clock(parts: GateParts) -> Clock:
+    return parts.simulated or SystemClock()
+
+
+def _remote(
+    parts: GateParts, opened: GateStore, keeper: EStopSupervisor | None, bounds: StreamBounds
+) -> RemoteController | None:
+    """Return the controller's end; None in shadow mode, and for a robot in this process."""
+    if parts.config.mode is Mode.SHADOW or parts.simulated is not None:
+        return None
+    stops: dict[str, Any] = {}
+    if keeper is not None:
+        stops = {"ask": keeper.sync, "can_stop": partial(_is_alive, keeper)}
+    return RemoteController(
+        opened.ledger.mono_ms,
+        renew_within_ms=parts.config.renew_within_ms,
+        admit=bounds.admit,
+        **stops,
+    )
 
 
 def _rotation(parts: GateParts, gate: Gate, store: SqliteStore) -> Rotation:
@@ -224,19 +249,14 @@ def _policy(config: GateConfig) -> RefusalPolicy:
     )
 
 
-def _streams(parts: GateParts, gate: Gate, remote: RemoteController | None) -> Streams | None:
-    if remote is None:
-        return None
+def _stream_bounds(parts: GateParts, opened: GateStore) -> StreamBounds:
     profile = parts.site.robots[parts.config.robot].profile
-    streams = Streams(
-        gate.ledger,
-        remote,
-        facts=gate.facts,
+    return StreamBounds(
+        opened.facts,
+        opened.ledger.mono_ms,
         stopping_mm=partial(stopping_mm, profile),
-        state=lambda: gate.enforcer.intake.newest,
+        state=lambda: opened.intake.newest,
     )
-    remote.admit_with(streams.admit)
-    return streams
 
 
 def _advance(parts: GateParts) -> Callable[[bool], None] | None:
@@ -275,22 +295,6 @@ def _is_alive(keeper: EStopSupervisor) -> bool:
     return keeper.alive
 
 
-def _keeper(
-    parts: GateParts, service: Service, remote: RemoteController | None, held: ExitStack
-) -> EStopSupervisor | None:
-    """Start the stop lane, unless one serves already; one that we started ends with us."""
-    if parts.lane is None:
-        return None
-    keeper = EStopSupervisor(parts.lane)
-    held.callback(keeper.end)
-    keeper.start()
-    service.view.lane_alive = partial(_is_alive, keeper)
-    if remote is not None:
-        remote.ask_with(keeper.sync)
-        remote.can_stop = partial(_is_alive, keeper)
-    return keeper
-
-
 async def _serve(
     parts: GateParts,
     service: Service,
@@ -301,9 +305,8 @@ async def _serve(
 ) -> None:
     """Listen, say so, and serve until somebody ends it."""
     loop = asyncio.get_running_loop()
-    ended = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
-        loop.add_signal_handler(number, ended.set)
+        loop.add_signal_handler(number, service.ended.set)
     answering = asyncio.ensure_future(every(ANSWER_S, lock.answer))
     keeping = await _keep(keeper, service)
     path = parts.run / SOCKET
@@ -314,10 +317,8 @@ async def _serve(
     gc.collect()
     gc.freeze()  # what was loaded stays: the collector need not go through it in mid-motion
     try:
-        if service.desk.rescues is not None:
-            service.desk.rescues.closing = ended.is_set
         ready(told)
-        await service.run(ended)
+        await service.run()
     finally:
         answering.cancel()
         keeping.cancel()

@@ -106,12 +106,28 @@ class RemoteController:
     """The one controller of the robot, connected or not.
 
     Args:
-        renew_within_ms: sent with each action; the controller's own watch.
+        mono_ms: the monotonic clock that leases are measured on.
+        renew_within_ms: sent with each action; the controller's own watchdog.
+        admit: called before each dispatch; raises `ControllerError` to refuse it.
+        ask: asks the stop process whether the gate has heard of all its stops; calls its argument
+            when that is so; returns False when there is no stop process to ask.
+        can_stop: returns whether a stop would be carried out. While it would not, the gate
+            releases nothing and renews no lease.
     """
 
-    def __init__(self, *, renew_within_ms: int) -> None:
-        self._mono_ms: Callable[[], int] = int
-        self._admit: Callable[[Action, Lease], None] = lambda _action, _lease: None
+    def __init__(
+        self,
+        mono_ms: Callable[[], int],
+        *,
+        renew_within_ms: int,
+        admit: Callable[[Action, Lease], None] = lambda _action, _lease: None,
+        ask: Callable[[Callable[[], None]], bool] = lambda _: False,
+        can_stop: Callable[[], bool] = lambda: True,
+    ) -> None:
+        self._mono_ms = mono_ms
+        self._admit = admit
+        self._ask = ask
+        self.can_stop = can_stop
         self._renew_within_ms = renew_within_ms
         self._send: Send | None = None
         self._flights: dict[Digest, RemoteGoal] = {}
@@ -121,17 +137,6 @@ class RemoteController:
         self._stood = 0
         self._halting = False
         self._unexplained: Unexplained | None = None
-        self._ask: Callable[[Callable[[], None]], bool] = lambda _: False
-        #: says whether a stop would be carried out: else nothing is released and no lease renewed
-        self.can_stop: Callable[[], bool] = lambda: True
-
-    def admit_with(self, admit: Callable[[Action, Lease], None]) -> None:
-        """Let this refuse an action at the last moment, by raising `ControllerError`."""
-        self._admit = admit
-
-    def keep_time(self, mono_ms: Callable[[], int]) -> None:
-        """Measure on this clock from now on: the one that leases are measured on."""
-        self._mono_ms = mono_ms
 
     def require_stop(self) -> None:
         """Require that a stop would be carried out (`running.Guarded`).
@@ -281,15 +286,6 @@ class RemoteController:
         for flight in self._flights.values():
             if not flight.begun and flight.dispatched_ms < late:
                 flight.doubt()
-
-    def ask_with(self, ask: Callable[[Callable[[], None]], bool]) -> None:
-        """Ask the stop lane about stops from now on.
-
-        Args:
-            ask: asks whether everything that the lane has stopped was heard of; calls back when it
-                was; False when there is no lane to ask.
-        """
-        self._ask = ask
 
     def _known_stops(self) -> int:
         """Return the last stop that the gate has heard of, and knows the reason of."""

@@ -18,34 +18,29 @@ from authguard_r.access.gate_config import GateConfig
 from authguard_r.access.handshake import welcome_of
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault
 from authguard_r.core.identifiers import Identifier
-from authguard_r.core.principals import Signer
 from authguard_r.core.reasons import Reason
 from authguard_r.enforcement.json_views import report_json
 from authguard_r.enforcement.leases import quietly
 from authguard_r.enforcement.report import Report, refusal_entry
-from authguard_r.normalize import Binder
-from authguard_r.server.braking import Braking, brakes_of
+from authguard_r.server.active_mission import ActiveMission
+from authguard_r.server.approval_requests import OpenQuestions
+from authguard_r.server.braking import brakes_of
 from authguard_r.server.dispatcher import Dispatcher
+from authguard_r.server.emergencies import STRANGE, EmergencyCalls
 from authguard_r.server.event_bus import EventBus
-from authguard_r.server.event_log import EventLog
 from authguard_r.server.fair_queue import FairQueue, ServedClient
 from authguard_r.server.lease_registry import LeaseRegistry
 from authguard_r.server.liveness import Liveness
 from authguard_r.server.log_maintenance import LogMaintenance
 from authguard_r.server.periodic import every, first
-from authguard_r.server.plan_reader import PlanReader
 from authguard_r.server.plans import Plans
 from authguard_r.server.proposals import ProposalRegistry
 from authguard_r.server.queries import GateQueries
-from authguard_r.server.recovery import Recovery
-from authguard_r.server.remote_controller import RemoteController
 from authguard_r.server.retention import RetentionWork
+from authguard_r.server.service_parts import ServiceParts
 from authguard_r.server.sessions import ServerSession
-from authguard_r.server.state_inbox import StateInbox
 from authguard_r.server.stop_recorder import StopRecorder
-from authguard_r.server.streams import Streams
 from authguard_r.server.what_if import WhatIf
-from authguard_r.server.wiring import Gate
 from authguard_r.wire.frames import Frame
 from authguard_r.wire.messages import ClientRole, Hello, Kind, Mode, Welcome
 
@@ -58,122 +53,134 @@ FLUSH_S = 0.1
 #: Silence is looked for this often, in seconds.
 LISTEN_S = 1.0
 #: Checkpoints that are due, and witnesses' answers, are looked for this often, in seconds.
-VIGIL_S = 0.1
+MAINTENANCE_S = 0.1
 
 
 class Service:
     """A gate and its clients (`sessions.ConnectionHost`).
 
     Args:
-        gate: enforcer, management, ledger.
-        config: the signed configuration.
-        binder: the planner's tools.
-        reader: reads long plans.
-        channels: the site's own channels, with their labels.
-        signer: the gate's own key, for proofs.
-        inbox: the estimator's channel, which the gate's intake reads.
-        controller: the controller's end; None where nothing is connected to anything: shadow
-            mode, or a robot in this process.
-        streams: what may be sampled while it runs; None where there is no controller.
-        recovery: settles what the last run left open.
-        journal: for whoever runs the machine.
-        advance: lets simulated time pass, told whether something moves; None where time is real.
+        parts: what it is made of; `begin` makes it ready for clients.
     """
 
-    def __init__(
-        self,
-        gate: Gate,
-        config: GateConfig,
-        *,
-        binder: Binder,
-        reader: PlanReader,
-        channels: dict[str, str],
-        signer: Signer,
-        inbox: StateInbox,
-        controller: RemoteController | None,
-        streams: Streams | None,
-        recovery: Recovery,
-        journal: EventLog,
-        advance: Callable[[bool], None] | None = None,
-    ) -> None:
-        self.gate = gate
-        self._config = config
-        self._signer = signer
-        self._binding = binder.digest
-        self._reader = reader
-        self._controller = controller
-        self._advance = advance
-        self._recovery = recovery
-        self._journal = journal
+    def __init__(self, parts: ServiceParts) -> None:
+        self.gate = gate = parts.gate
+        self._parts = parts
+        self._config = config = parts.config
+        self._controller = parts.controller
+        self._advance = parts.advance
+        self._recovery = parts.recovery
         self._sessions: set[ServerSession] = set()
         self._clients: set[ServedClient] = set()
         self._users: Counter[int] = Counter()
-        self._ring = FairQueue(self._shed)
+        self._queue = FairQueue(self._shed)
         self._turning = self._closing = False
-        self._foresight = WhatIf(gate, controller, wait_ms=config.state_wait_ms)
-        self.motions = LeaseRegistry(controller, streams)
-        self.notices = EventBus(gate.ledger, lambda: self._clients, journal)
-        self.liveness = Liveness(config, gate.ledger.mono_ms, self.notices.alert)
-        self.vigil = LogMaintenance(gate.anchor, self.liveness, self.notices)
-        self.view = GateQueries(
-            gate,
-            config,
-            motions=self.motions,
+        #: set when the gate is to end
+        self.ended = asyncio.Event()
+        self._foresight = WhatIf(gate, parts.controller, wait_ms=config.state_wait_ms)
+        self.leases = LeaseRegistry(parts.controller, parts.streams)
+        self.events = EventBus(gate.ledger, lambda: self._clients, parts.journal)
+        mission = ActiveMission(gate.ledger, gate.enforcer.intake)
+        mono_ms = gate.ledger.mono_ms
+        self.liveness = Liveness(config, mono_ms, self.events.alert, mission.phase)
+        self.log_maintenance = LogMaintenance(
+            gate.anchor, self.liveness, self.events, parts.rotation
+        )
+        self.retention = RetentionWork(gate.management, mono_ms, self.liveness, mission.changed)
+        self.emergencies = self._emergency_calls()
+        self.queries = self._gate_queries(mission)
+        self.stops = StopRecorder(
+            gate.enforcer,
+            parts.controller,
+            view=self.queries,
+            look=self.look,
             liveness=self.liveness,
-            clients=lambda: self._clients,
+            notices=self.events,
+            mono_ms=mono_ms,
         )
-        self.retirement = RetentionWork(
-            gate.management, gate.ledger.mono_ms, self.liveness, self.view.mission_changed
+        self._braking = brakes_of(
+            gate, parts.controller, config.mode, book=self.stops, motions=self.leases
         )
-        self.stops, self._braking = self._stopping()
-        self.desk = self._desk = Dispatcher(
+        self._questions = OpenQuestions(gate, self.events.publish)
+        self._dispatcher = Dispatcher(
             gate,
-            plans=self._plans(binder, reader, channels),
-            motions=self.motions,
-            inbox=inbox,
-            view=self.view,
-            controller=controller,
-            streams=streams,
-            publish=self.notices.publish,
+            plans=self._plans(),
+            motions=self.leases,
+            look=self.look,
+            inbox=parts.inbox,
+            view=self.queries,
+            controller=parts.controller,
+            streams=parts.streams,
+            emergencies=self.emergencies,
+            questions=self._questions,
+            publish=self.events.publish,
             first=self._settle_before,
             rest=partial(self._later, first=True),
-            answered=self._ring.done,
+            answered=self._queue.done,
             refused=lambda client, error: self.refused(client.name, error),
         )
 
-    def _stopping(self) -> tuple[StopRecorder, Braking]:
-        """Return who writes stops down, and who carries out those that come to the gate itself."""
-        book = StopRecorder(
-            self.gate.enforcer,
-            self._controller,
-            view=self.view,
-            motions=self.motions,
+    def _gate_queries(self, mission: ActiveMission) -> GateQueries:
+        return GateQueries(
+            self.gate,
+            self._config,
+            motions=self.leases,
+            mission=mission,
             liveness=self.liveness,
-            notices=self.notices,
-            mono_ms=self.gate.ledger.mono_ms,
-        )
-        return book, brakes_of(
-            self.gate, self._controller, self._config.mode, book=book, motions=self.motions
+            clients=lambda: self._clients,
+            free_bytes=self._parts.free_bytes,
+            lane_alive=self._parts.lane_alive,
+            emergency=None if self.emergencies is None else self.emergencies.shown,
         )
 
-    def _plans(self, binder: Binder, reader: PlanReader, channels: dict[str, str]) -> Plans:
+    def _emergency_calls(self) -> EmergencyCalls | None:
+        """Return what serves emergency calls; None without a signed policy."""
+        if self._parts.emergency is None:
+            return None
+        return EmergencyCalls(
+            self._parts.emergency,
+            enforcer=self.gate.enforcer,
+            motions=self.leases,
+            controller=self._controller,
+            liveness=self.liveness,
+            publish=self.events.publish,
+            state_wait_ms=self._config.state_wait_ms,
+            closing=self.ended.is_set,
+        )
+
+    def _plans(self) -> Plans:
+        parts = self._parts
         return Plans(
             self.gate.enforcer,
-            binder,
-            reader=reader,
-            motions=self.motions,
+            parts.binder,
+            reader=parts.reader,
+            motions=self.leases,
             proposals=ProposalRegistry(self.gate.ledger, self._config.disclosure),
-            channels=channels,
+            channels=parts.channels,
             foresight=self._foresight,
             disclosure=self._config.disclosure,
             shadow=self._config.mode is Mode.SHADOW,
             later=self._later,
             decided=self._decided,
             ended=self._ended,
-            answered=self._ring.done,
+            answered=self._queue.done,
         )
 
-    # the hall
+    def begin(self) -> None:
+        """Tell of a store that was put back, and of an emergency journal that is not authentic."""
+        self.log_maintenance.begin()
+        if self._parts.emergency is not None and self._parts.emergency.log.strange:
+            self.liveness.alert(STRANGE, self._parts.emergency.log.strange)
+
+    def look(self) -> None:
+        """Look at every open lease, and at everything that waits for the robot."""
+        self.leases.look()
+        self._foresight.look()
+        self._braking.look()
+        if self.emergencies is not None:
+            self.emergencies.look()
+
+    # connections
 
     @property
     def config(self) -> GateConfig:
@@ -193,8 +200,8 @@ class Service:
 
     def welcome(self, hello: Hello) -> Welcome:
         """Return the answer to a hello, with the proof that its nonce asks for."""
-        digests = {"site": self.gate.facts.digest, "binding": self._binding}
-        return welcome_of(hello, self._config, self._signer, **digests)
+        digests = {"site": self.gate.facts.digest, "binding": self._parts.binder.digest}
+        return welcome_of(hello, self._config, self._parts.signer, **digests)
 
     def entered(self, client: ServedClient) -> None:
         """Take a client in; the first controller keeps its place.
@@ -214,8 +221,8 @@ class Service:
         if item.kind is Kind.STOP:  # before anybody's turn
             self._braking.came(client, item, self.refused)
             return
-        at_once = alone and not self._ring and not self._turning
-        self._ring.came(client, item)
+        at_once = alone and not self._queue and not self._turning
+        self._queue.came(client, item)
         if at_once:
             self._turn()
         else:
@@ -223,7 +230,7 @@ class Service:
 
     def reads(self, client: ServedClient) -> None:
         """Serve what waits of a client that was put aside: it reads again, or it is gone."""
-        self._ring.reads(client)
+        self._queue.reads(client)
         self._turn_soon()
 
     def left(self, session: ServerSession, client: ServedClient | None) -> None:
@@ -236,12 +243,12 @@ class Service:
         self._clients.discard(client)
         if client.role is ClientRole.CONTROLLER and self._controller is not None:
             self._controller.detach()
-            self.motions.look()
+            self.look()
         self._announce(client, here=False)
 
     def refused(self, name: Identifier, error: AuthGuardError) -> None:
         """Record a request, or a connection, that was refused before it was anything."""
-        self.view.counted["refused"] += 1
+        self.queries.counted["refused"] += 1
         made, fold = partial(refusal_entry, error, client=name), (name, error.reason, error.where)
         quietly(lambda: self.gate.ledger.refuse(made, fold=fold))
 
@@ -255,9 +262,9 @@ class Service:
     def _turn(self) -> None:
         """Serve one urgent request and one other, then let the loop read."""
         self._turning = False
-        if self._advance is not None and not self.motions:
+        if self._advance is not None and not self.leases:
             self._look()  # what is asked is asked of now
-        for client, item in self._ring.take():
+        for client, item in self._queue.take():
             try:
                 if isinstance(item, Frame):
                     self._serve(client, item)
@@ -267,14 +274,14 @@ class Service:
                 name = type(error).__name__
                 self.refused(client.name, AuthGuardError(name, reason=Reason.INTERNAL_FAULT))
                 client.line.drop("a fault of the gate's own")
-        if self._ring:
+        if self._queue:
             self._turn_soon()
-        if self._advance is not None and self.motions:
+        if self._advance is not None and self.leases:
             self._look()
 
     def _serve(self, client: ServedClient, item: Frame) -> None:
         """Serve a request; what the last run left open is settled with the first snapshot."""
-        self._desk.serve(client, item)
+        self._dispatcher.serve(client, item)
         if self._recovery.after(item.kind):
             self._recovered()
 
@@ -286,18 +293,18 @@ class Service:
 
     def _recovered(self) -> None:
         """Say what became of the mission of a gate that did not end cleanly."""
-        self.view.mission_changed()
+        self.queries.mission.changed()
         if self._recovery.unclean:
-            status = self.view.mission_status
-            self.notices.publish({"event": "recovery", "unclean": True, "status": status})
+            status = self.queries.mission.status
+            self.events.publish({"event": "recovery", "unclean": True, "status": status})
 
     def _later(self, client: ServedClient, act: Callable[[], None], *, first: bool = False) -> None:
-        self._ring.put(client, act, first=first)
+        self._queue.put(client, act, first=first)
         self._turn_soon()
 
     def _shed(self, client: ServedClient) -> None:
         """Count a proposal that was shed; a row of them is one refusal in the log."""
-        self.view.counted["shed"] += 1
+        self.queries.counted["shed"] += 1
         if client.shed == 1:
             self.refused(client.name, EnvironmentFault("shed unread", reason=Reason.BUSY))
 
@@ -309,41 +316,41 @@ class Service:
 
     def _announce(self, client: ServedClient, *, here: bool) -> None:
         told = {"client": client.name, "role": client.role, "here": here}
-        self.notices.publish({"event": "client", **told})
+        self.events.publish({"event": "client", **told})
 
     def _decided(self, client: ServedClient, report: Report) -> None:
         """Count and publish a decision."""
-        self.view.count_decision(report)
-        self._desk.questions.decided(report)
+        self.queries.count_decision(report)
+        self._questions.decided(report)
         self._tell("decision", client, report)
 
     def _ended(self, client: ServedClient, report: Report) -> None:
         """Count and publish an outcome."""
-        self.view.count_outcome(report)
+        self.queries.count_outcome(report)
         self._tell("outcome", client, report)
 
     def _tell(self, event: str, client: ServedClient, report: Report) -> None:
         """Tell those who watch, and stop a robot whose planner gets nowhere."""
-        if self.notices.wanted:
-            self.notices.publish({"event": event, "client": client.name, **report_json(report)})
+        if self.events.wanted:
+            self.events.publish({"event": event, "client": client.name, **report_json(report)})
         if self._config.mode is Mode.ENFORCE and self.liveness.judge(client.name, report):
             self.gate.enforcer.stop(by=Identifier("gate"), is_planner=False)
 
     # the clocks
 
-    async def run(self, ended: asyncio.Event) -> None:
+    async def run(self) -> None:
         """Keep the clocks going until it is time to end, then stop the robot and write it down."""
         clocks = [
             asyncio.create_task(every(LOOK_S, self._look)),
             asyncio.create_task(every(FLUSH_S, self._flush)),
             asyncio.create_task(every(LISTEN_S, self._listen)),
-            asyncio.create_task(every(VIGIL_S, self.vigil.look)),
-            asyncio.create_task(every(SHRED_S, self.retirement.look)),
+            asyncio.create_task(every(MAINTENANCE_S, self.log_maintenance.look)),
+            asyncio.create_task(every(SHRED_S, self.retention.look)),
         ]
         started = {"robot": self._config.robot, "mode": str(self._config.mode), "pid": os.getpid()}
-        self.notices.publish({"event": "start", **started, "unclean": self._recovery.unclean})
+        self.events.publish({"event": "start", **started, "unclean": self._recovery.unclean})
         try:
-            await first(ended, clocks)
+            await first(self.ended, clocks)
         finally:
             for clock in clocks:
                 clock.cancel()
@@ -351,46 +358,46 @@ class Service:
 
     def _look(self) -> None:
         if self._advance is not None:
-            self._advance(bool(self.motions))
-        self.motions.look()
-        if self._advance is not None and self.motions:
+            self._advance(bool(self.leases))
+        self.look()
+        if self._advance is not None and self.leases:
             self._turn_soon()  # simulated time passes as fast as it can be watched
 
     def _flush(self) -> None:
         """Write down what waits: outcomes first, then refusals."""
         if self.gate.watch.settle_owed():
-            self.view.mission_changed()
+            self.queries.mission.changed()
         quietly(self.gate.ledger.flush)
 
     def _listen(self) -> None:
         """Once a second: recovery that is late, silence, the clock, the journal's counts."""
-        if self._recovery.late(self.view.uptime_ms):
+        if self._recovery.late(self.queries.uptime_ms):
             self._recovered()
         self.liveness.check(
-            active=self.view.has_mission and self._config.mode is Mode.ENFORCE,
+            active=self.queries.mission.runs and self._config.mode is Mode.ENFORCE,
             controller=self._controller is None or self._controller.connected,
             estimator=self._advance is None,
-            **self.view.ledger_state(),
+            **self.queries.ledger_state(),
         )
-        self._desk.questions.listen()
-        self._journal.counts(self.view.counted, self.gate.ledger.mono_ms())
+        self._questions.listen()
+        self._parts.journal.counts(self.queries.counted, self.gate.ledger.mono_ms())
 
     async def _come_to_rest(self) -> None:
         """Stop what moves, wait for it to stand, and let everybody go."""
         self._closing = True
-        self.gate.enforcer.before_first(_refuse_all)  # a next step, and a plan that is being read
+        self.gate.enforcer.require(_refuse_all)  # a next step, and a plan that is being read
         self._foresight.close()
-        if self.motions:
+        if self.leases:
             self.gate.enforcer.stop(by=Identifier("gate"), is_planner=False)
         loop = asyncio.get_running_loop()
         until = loop.time() + self._config.stand_within_ms / 1_000
-        while self.motions and loop.time() < until:
+        while self.leases and loop.time() < until:
             self._look()
             await asyncio.sleep(LOOK_S / 5)
-        self.notices.publish({"event": "end", "robot": self._config.robot})
+        self.events.publish({"event": "end", "robot": self._config.robot})
         for session in tuple(self._sessions):
             session.end()
-        self._reader.close()
+        self._parts.reader.close()
         self._braking.end()
         self._flush()
 

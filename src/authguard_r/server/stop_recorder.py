@@ -18,7 +18,6 @@ from authguard_r.core.identifiers import Identifier
 from authguard_r.enforcement.enforcer import Enforcer
 from authguard_r.server.event_bus import EventBus
 from authguard_r.server.fair_queue import ServedClient
-from authguard_r.server.lease_registry import LeaseRegistry
 from authguard_r.server.liveness import Liveness
 from authguard_r.server.queries import GateQueries
 from authguard_r.server.remote_controller import RemoteController
@@ -80,7 +79,7 @@ class StopRecorder:
         enforcer: records, counts and suspends.
         controller: is told which stops the gate knows of; None where the gate has none.
         view: counts for `status`.
-        motions: open leases, looked at after each stop.
+        look: looks at every open lease; called after each stop.
         liveness: alerts.
         notices: tells those who watch.
         mono_ms: the gate's monotonic clock.
@@ -92,7 +91,7 @@ class StopRecorder:
         controller: RemoteController | None,
         *,
         view: GateQueries,
-        motions: LeaseRegistry,
+        look: Callable[[], None],
         liveness: Liveness,
         notices: EventBus,
         mono_ms: Callable[[], int],
@@ -100,7 +99,7 @@ class StopRecorder:
         self._enforcer = enforcer
         self._controller = controller
         self._view = view
-        self._motions = motions
+        self._look = look
         self._liveness = liveness
         self._notices = notices
         self._mono_ms = mono_ms
@@ -111,14 +110,14 @@ class StopRecorder:
     def settled(self) -> bool:
         """True when everything that was heard has taken its effect on disk."""
         settled = self._enforcer.settle_stops()
-        self._view.mission_changed()  # a suspension that was owed may have been written just now
+        self._view.mission.changed()  # a suspension that was owed may have been written just now
         return settled
 
     def begun(self, role: ClientRole) -> None:
         """Suspend the mission at once when an operator stops; the stop is recorded later."""
         if role in SUSPENDING:
             self._enforcer.stopping.hold()
-            self._view.mission_changed()
+            self._view.mission.changed()
 
     def taken(self, client: ServedClient, stop: Stop, stood_ms: int | None, more: int) -> None:
         """Record a stop that the gate itself carried out, unless the lane did and told of it.
@@ -163,7 +162,7 @@ class StopRecorder:
         # only now: what was decided before the mission was suspended may not start after it
         if self._controller is not None and heard.stops is not None:
             self._controller.heard_of(heard.life, heard.stops)
-        self._motions.look()
+        self._look()
 
     def lane_lost(self, why: AuthGuardError | None) -> None:
         """Say that no stop is heard of until the lane is back."""
@@ -223,7 +222,7 @@ class StopRecorder:
             self._liveness.follow()
             self._liveness.tell("planner stops", {"by": by})
             self._notices.publish({"event": "alert", "what": "planner stops", "by": by})
-        self._view.mission_changed()
+        self._view.mission.changed()
         self._publish(told)
         self._unconfirmed(is_so=stood_ms is None, by=by)
 

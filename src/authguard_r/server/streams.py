@@ -91,44 +91,75 @@ class _Stream:
         self.closed: _Closed | None = None
 
 
+class StreamBounds:
+    """Whether a robot at a velocity could stop inside its regions.
+
+    Args:
+        facts: the signed site.
+        mono_ms: the monotonic clock that states are measured on.
+        stopping_mm: how far the robot goes on when it is stopped at a speed.
+        state: returns the newest attested state.
+    """
+
+    def __init__(
+        self,
+        facts: SiteFacts,
+        mono_ms: Callable[[], int],
+        *,
+        stopping_mm: StoppingWay,
+        state: Callable[[], AttestedState | None],
+    ) -> None:
+        self._facts = facts
+        self._mono_ms = mono_ms
+        self._stopping_mm = stopping_mm
+        self._state = state
+
+    def admit(self, action: Action, lease: Lease) -> None:
+        """Check a stream's own velocities as its samples are checked, before it begins.
+
+        Raises:
+            ControllerError: the robot could not stop inside its regions (`OUTSIDE_REGIONS`).
+        """
+        first: dict[str, int] = {n: v for n, v in action.params.items() if n != DURATION}
+        if is_stream(action) and not self.stays_inside(lease, first):
+            refused = ControllerError("it could not stop inside its regions at this velocity")
+            refused.reason, refused.where = Reason.OUTSIDE_REGIONS, "params"
+            raise refused
+
+    def stays_inside(self, lease: Lease, params: dict[str, int]) -> bool:
+        """Return True when the robot, stopped right after, comes to rest inside its regions."""
+        if not lease.regions:
+            return True
+        state = self._state()
+        if state is None or state.snapshot.pose is None:
+            return False
+        speeds = [value for name, value in params.items() if name.endswith("_mm_s")]
+        speed = isqrt(sum(value * value for value in speeds)) + 1 if any(speeds) else 0
+        way = self._stopping_mm(speed)
+        if way is None:
+            return True  # a profile that does not say how it brakes: the lease alone holds it
+        pose = state.snapshot.pose
+        age_ms = self._mono_ms() - state.arrived_mono_ms + pose.age_ms
+        reach = pose.margin_mm + way + speed * max(age_ms, 0) // 1_000
+        wider = msgspec.structs.replace(pose, margin_mm=reach)
+        places = place_of(msgspec.structs.replace(state.snapshot, pose=wider), self._facts)
+        return bool(places) and places <= frozenset(lease.regions)
+
+
 class Streams:
     """Every open stream of the gate.
 
     Args:
         ledger: the clock, and where records go.
         controller: takes what passes.
-        facts: the signed site.
-        stopping_mm: how far the robot goes on when it is stopped at a speed.
-        state: the newest attested state.
+        bounds: what each sample is checked against, beside its limits.
     """
 
-    def __init__(
-        self,
-        ledger: Ledger,
-        controller: RemoteController,
-        *,
-        facts: SiteFacts,
-        stopping_mm: StoppingWay,
-        state: Callable[[], AttestedState | None],
-    ) -> None:
+    def __init__(self, ledger: Ledger, controller: RemoteController, bounds: StreamBounds) -> None:
         self._ledger = ledger
         self._controller = controller
-        self._facts = facts
-        self._stopping_mm = stopping_mm
-        self._state = state
+        self._bounds = bounds
         self._open: dict[Digest, _Stream] = {}
-
-    def admit(self, action: Action, lease: Lease) -> None:
-        """Hold a stream's own velocities to what its samples are held to, before it begins.
-
-        Raises:
-            ControllerError: the robot could not stop inside its regions (`OUTSIDE_REGIONS`).
-        """
-        first: dict[str, int] = {n: v for n, v in action.params.items() if n != DURATION}
-        if is_stream(action) and not self._stays_inside(lease, first, self._state()):
-            refused = ControllerError("it could not stop inside its regions at this velocity")
-            refused.reason, refused.where = Reason.OUTSIDE_REGIONS, "params"
-            raise refused
 
     def begin(self, client: Identifier, running: Running, gone: Callable[[], bool]) -> None:
         """Let the action's planner sample it, if it is one that can be.
@@ -168,7 +199,7 @@ class Streams:
             stream.seen.shed += 1
             return False
         stream.sampled, stream.sampled_ms = True, now_ms
-        fits = self._fits(stream, params, self._state())
+        fits = self._fits(stream, params)
         if fits:
             _widen(stream.seen.extremes, params)
         stream.seen.forwarded += fits
@@ -216,7 +247,7 @@ class Streams:
             )
         return stream
 
-    def _fits(self, stream: _Stream, params: dict[str, int], state: AttestedState | None) -> bool:
+    def _fits(self, stream: _Stream, params: dict[str, int]) -> bool:
         """True for a sample that is whole, within its limits, and can still stop inside."""
         if params.keys() != stream.names:
             return False
@@ -228,27 +259,7 @@ class Streams:
             bounds[name] and all(limit.low <= value <= limit.high for limit in bounds[name])
             for name, value in params.items()
         )
-        return within and self._stays_inside(stream.lease, params, state)
-
-    def _stays_inside(
-        self, lease: Lease, params: dict[str, int], state: AttestedState | None
-    ) -> bool:
-        """True when the robot, stopped right after, comes to rest inside its regions."""
-        if not lease.regions:
-            return True
-        if state is None or state.snapshot.pose is None:
-            return False
-        speeds = [value for name, value in params.items() if name.endswith("_mm_s")]
-        speed = isqrt(sum(value * value for value in speeds)) + 1 if any(speeds) else 0
-        way = self._stopping_mm(speed)
-        if way is None:
-            return True  # a profile that does not say how it brakes: the lease alone holds it
-        pose = state.snapshot.pose
-        age_ms = self._ledger.mono_ms() - state.arrived_mono_ms + pose.age_ms
-        reach = pose.margin_mm + way + speed * max(age_ms, 0) // 1_000
-        wider = msgspec.structs.replace(pose, margin_mm=reach)
-        places = place_of(msgspec.structs.replace(state.snapshot, pose=wider), self._facts)
-        return bool(places) and places <= frozenset(lease.regions)
+        return within and self._bounds.stays_inside(stream.lease, params)
 
     def _record(self, ticket: Digest, stream: _Stream, *, last: bool) -> None:
         seen, stream.seen = stream.seen, _SampleTally()

@@ -19,7 +19,7 @@ from authguard_r.anchoring.anchor import CounterReading, StoreAnchor, read_count
 from authguard_r.anchoring.checkpoint_scheduler import CheckpointPolicy, CheckpointScheduler
 from authguard_r.anchoring.counter import Counter
 from authguard_r.anchoring.sealing.policy import SealingPolicy
-from authguard_r.anchoring.sealing.sealer import sealer_of
+from authguard_r.anchoring.sealing.sealer import Sealer, sealer_of
 from authguard_r.audit.record import Terminal, read_record
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import (
@@ -28,7 +28,7 @@ from authguard_r.core.errors import (
     StoreError,
 )
 from authguard_r.core.facts import SiteFacts
-from authguard_r.core.identifiers import Digest, Identifier
+from authguard_r.core.identifiers import Digest, Identifier, RobotId
 from authguard_r.core.mission import RiskPolicy
 from authguard_r.core.ports import Clock, Controller, SafetyGate, StateSource, Store
 from authguard_r.core.principals import Signer
@@ -83,6 +83,167 @@ class Gate(Struct, frozen=True, kw_only=True):
         self.ledger.close()
 
 
+class LogSettings(Struct, frozen=True, kw_only=True):
+    """How a gate writes its log, and what its first record says.
+
+    Args:
+        genesis: fields that the first record has beside the gate's own.
+        sealed: values that lie beside the first record for a replay, by name.
+        marks: fields that every record has: that it is of a shadow run.
+        refusals: which refusals wait and which are only counted.
+        checkpoints: when checkpoints are made, and who witnesses them.
+        sealing: what of the log is sealed; None: as the store's last gate sealed it.
+        counter: the counter outside of the store; without one, a store that was put back cannot
+            be detected.
+        signer: the gate's own key, for counter and checkpoints; None: neither is signed.
+        salts: returns random bytes for commitments.
+    """
+
+    genesis: dict[str, object] = {}
+    sealed: dict[str, object] = {}
+    marks: dict[str, str] = {}
+    refusals: RefusalPolicy = RefusalPolicy()
+    checkpoints: CheckpointPolicy = CheckpointPolicy()
+    sealing: SealingPolicy | None = None
+    counter: Counter | None = None
+    signer: Signer | None = None
+    salts: Callable[[int], bytes] = os.urandom
+
+
+class GateStore(Struct, frozen=True, kw_only=True):
+    """A gate's open store: whose it is, and what may enter it.
+
+    Args:
+        ledger: store and trusted time.
+        anchor: whether the store is the one that was counted outside of it.
+        intake: verifies what enters.
+        facts: the site and who this gate is.
+        trust: the trust root.
+        chain: the gate's own certificate chain.
+        sealing: what of the log is sealed.
+    """
+
+    ledger: Ledger
+    anchor: StoreAnchor
+    intake: InputVerifier
+    facts: SiteFacts
+    trust: Trust
+    chain: tuple[bytes, ...]
+    sealing: SealingPolicy
+
+
+def open_gate_store(
+    store: Store,
+    *,
+    trust: Trust,
+    chain: tuple[bytes, ...],
+    site: Site,
+    source: StateSource,
+    clock: Clock,
+    log: LogSettings,
+    demo: bool = False,
+    risk: tuple[RiskPolicy, ...] = (),
+) -> GateStore:
+    """Return a gate's store, open for this gate alone; it is closed if anything is wrong.
+
+    Args:
+        store: registry and log.
+        trust: the trust root.
+        chain: the gate's own certificate chain: its robot id and profile come from here alone.
+        site: the site model; missions bind its digest.
+        source: the estimator's channel.
+        clock: the only source of time.
+        log: how the log is written.
+        demo: accept a root that says `demo`; a gate of a real robot does not.
+        risk: the organization's policies, to be held against the store (`hold_policy`).
+
+    Raises:
+        AuthenticityError: the gate's certificate does not hold.
+        EnvironmentFault: the site does not know this robot.
+        StoreError: the store cannot be used.
+    """
+    try:
+        _require_real(trust, demo=demo)
+        reading = read_counter(log.counter, verifier=trust)
+        since_ms = max(chain_ms(chain), reading.time_ms)
+        at = boot_ms(clock.wall_ms(), trust, since_ms, store.run(last_commit_ms))
+        rid, profile = trust.gate_identity(chain, Now(at, 0))
+        facts = replace(facts_of(site, rid=rid, profile=profile), risk=risk)
+        sealer, sealing = sealer_of(store, rid, log.sealing)
+        first = {**_first(facts, trust), **log.genesis}
+        written = replace(log, genesis=first, sealed={"site": site, **log.sealed})
+        ledger = _ledger(store, clock, rid, written, since_ms=since_ms, sealer=sealer)
+        _require_same_log(ledger, trust, log.marks)
+        anchor = _anchor(ledger, log, reading)
+    except BaseException:
+        store.close()  # it was handed over; a gate that is not made holds nothing
+        raise
+    intake = InputVerifier(ledger, trust, source=source, facts=facts, anchor=anchor)
+    return GateStore(
+        ledger=ledger,
+        anchor=anchor,
+        intake=intake,
+        facts=facts,
+        trust=trust,
+        chain=chain,
+        sealing=sealing,
+    )
+
+
+def join(
+    opened: GateStore,
+    *,
+    safety: SafetyGate,
+    controller: Controller,
+    clock: Clock,
+    stand_within_ms: int = STAND_WITHIN_MS,
+    recovers: bool = True,
+) -> Gate:
+    """Return the gate of a store and a robot.
+
+    Args:
+        opened: the gate's store.
+        safety: the second gate.
+        controller: the actuators.
+        clock: the only source of time.
+        stand_within_ms: how long a stopped robot may take to stand.
+        recovers: settle what the last run left open before the first proposal; False: the caller
+            settles it.
+
+    Raises:
+        AuthenticityError: a revocation list that the store holds revokes the gate itself.
+        StoreError: what the store holds cannot be used.
+    """
+    ledger, intake, facts = opened.ledger, opened.intake, opened.facts
+    watch = LeaseMonitor(
+        ledger, intake, facts=facts, controller=controller, stand_within_ms=stand_within_ms
+    )
+    management = Management(
+        ledger, intake, verifier=opened.trust, facts=facts, sealing=opened.sealing
+    )
+    enforcer = Enforcer(
+        ledger,
+        intake,
+        facts=facts,
+        safety=safety,
+        watch=watch,
+        clock=clock,
+        first=management.recover if recovers else None,
+    )
+    opened.anchor.begin()
+    return Gate(
+        enforcer=enforcer,
+        management=management,
+        lists=_lists(ledger, enforcer, opened.trust, chain=opened.chain),
+        anchor=opened.anchor,
+        ledger=ledger,
+        facts=facts,
+        safety=safety,
+        watch=watch,
+        trust=opened.trust,
+    )
+
+
 def assemble(
     *,
     trust: Trust,
@@ -93,107 +254,68 @@ def assemble(
     source: StateSource,
     clock: Clock,
     store: Store,
-    genesis: dict[str, object],
+    log: LogSettings = LogSettings(),  # noqa: B008 - frozen
     demo: bool = False,
-    salts: Callable[[int], bytes] = os.urandom,
-    refusals: RefusalPolicy = RefusalPolicy(),  # noqa: B008 - frozen
     stand_within_ms: int = STAND_WITHIN_MS,
-    marks: dict[str, str] | None = None,
-    risk: tuple[RiskPolicy, ...] = (),
-    counter: Counter | None = None,
-    signer: Signer | None = None,
-    notary: CheckpointPolicy = CheckpointPolicy(),  # noqa: B008 - frozen
-    sealing: SealingPolicy | None = None,
-    sealed: dict[str, object] | None = None,
 ) -> Gate:
-    """Return the gate made of these parts.
+    """Return the gate made of these parts, for a program that is the gate's only client.
 
-    Args:
-        trust: the trust root.
-        chain: the gate's own certificate chain: its robot id and profile come from here alone.
-        site: the site model; missions bind its digest.
-        safety: the second gate.
-        controller: the actuators.
-        source: the estimator's channel.
-        clock: the only source of time.
-        store: registry and log.
-        genesis: what else the log's first record says.
-        demo: take a root that says `demo`; nothing that guards a real robot does.
-        salts: randomness for commitments.
-        refusals: what of refusals waits and what is counted.
-        stand_within_ms: how long a stopped robot may take to stand.
-        marks: what every record of the log says: that it is of a shadow run.
-        risk: the organization's policies, to be held against the store (`hold_policy`).
-        counter: kept outside of the store; without one, a store that was put back is not known.
-        signer: the gate's own key, for counter and checkpoints; without one there are none.
-        notary: when checkpoints are made, and who witnesses them.
-        sealing: what of the log is sealed; None: as the store holds it of the last gate.
-        sealed: what else the log's first record keeps for a replay, by name; None: nothing.
-
-    Raises:
-        AuthenticityError: the gate's certificate does not hold.
-        EnvironmentFault: the site does not know this robot.
-        StoreError: the store cannot be used.
+    Args: as in `open_gate_store` and `join`.
     """
-    try:
-        _require_real(trust, demo=demo)
-        reading = read_counter(counter, verifier=trust)
-        since_ms = max(chain_ms(chain), reading.time_ms)
-        at = boot_ms(clock.wall_ms(), trust, since_ms, store.run(last_commit_ms))
-        rid, profile = trust.gate_identity(chain, Now(at, 0))
-        facts = replace(facts_of(site, rid=rid, profile=profile), risk=risk)
-        sealer, policy = sealer_of(store, rid, sealing)
-        ledger = Ledger(
-            store,
-            clock,
-            robot=rid,
-            salts=salts,
-            genesis={**_first(facts, trust), **genesis},
-            inputs={"site": site, **(sealed or {})},
-            refusals=refusals,
-            marks=marks,
-            since_ms=since_ms,
-            sealer=sealer,
-        )
-        _require_same_log(ledger, trust, marks or {})
-        keeps = CheckpointScheduler(ledger, robot=rid, signer=signer, policy=notary)
-        anchor = _anchor(ledger, counter, signer=signer, reading=reading, keeps=keeps)
-    except BaseException:
-        store.close()  # it was handed over; a gate that is not made holds nothing
-        raise
-    intake = InputVerifier(ledger, trust, source=source, facts=facts, anchor=anchor)
-    watch = LeaseMonitor(
-        ledger, intake, facts=facts, controller=controller, stand_within_ms=stand_within_ms
-    )
-    enforcer = Enforcer(ledger, intake, facts=facts, safety=safety, watch=watch, clock=clock)
-    management = Management(ledger, intake, verifier=trust, facts=facts, sealing=policy)
-    anchor.begin()
-    enforcer.before_first(management.recover)
-    return Gate(
-        enforcer=enforcer,
-        management=management,
-        lists=_lists(ledger, enforcer, trust, chain=chain),
-        anchor=anchor,
-        ledger=ledger,
-        facts=facts,
-        safety=safety,
-        watch=watch,
+    opened = open_gate_store(
+        store,
         trust=trust,
+        chain=chain,
+        site=site,
+        source=source,
+        clock=clock,
+        log=log,
+        demo=demo,
+    )
+    return join(
+        opened,
+        safety=safety,
+        controller=controller,
+        clock=clock,
+        stand_within_ms=stand_within_ms,
     )
 
 
-def _anchor(
-    ledger: Ledger,
-    counter: Counter | None,
+def _ledger(
+    store: Store,
+    clock: Clock,
+    rid: RobotId,
+    log: LogSettings,
     *,
-    signer: Signer | None,
-    reading: CounterReading,
-    keeps: CheckpointScheduler,
-) -> StoreAnchor:
-    """Return the store's anchor; the key signs its counter's notes where there is one."""
-    key, rid = None if counter is None else signer, ledger.robot
+    since_ms: int,
+    sealer: Sealer | None,
+) -> Ledger:
+    return Ledger(
+        store,
+        clock,
+        robot=rid,
+        salts=log.salts,
+        genesis=log.genesis,
+        inputs=log.sealed,
+        refusals=log.refusals,
+        marks=log.marks,
+        since_ms=since_ms,
+        sealer=sealer,
+    )
+
+
+def _anchor(ledger: Ledger, log: LogSettings, reading: CounterReading) -> StoreAnchor:
+    """Return the store's anchor; the key signs the counter's notes where there is a counter."""
+    keeps = CheckpointScheduler(
+        ledger, robot=ledger.robot, signer=log.signer, policy=log.checkpoints
+    )
     return StoreAnchor(
-        ledger, robot=rid, counter=counter, signer=key, reading=reading, notary=keeps
+        ledger,
+        robot=ledger.robot,
+        counter=log.counter,
+        signer=None if log.counter is None else log.signer,
+        reading=reading,
+        notary=keeps,
     )
 
 
@@ -207,7 +329,7 @@ def _lists(ledger: Ledger, enforcer: Enforcer, trust: Trust, *, chain: tuple[byt
 
     def dismissed() -> None:
         """Release nothing more: a list revoked the gate itself."""
-        enforcer.before_first(lambda: trust.gate_identity(chain, ledger.now()))
+        enforcer.require(lambda: trust.gate_identity(chain, ledger.now()))
         enforcer.stop(by=Identifier("gate"), is_planner=False)
 
     lists = Lists(ledger, enforcer.intake, trust, chain=chain, dismissed=dismissed)

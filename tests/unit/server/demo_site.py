@@ -33,13 +33,15 @@ from authguard_r.authoring.keys.setup import demo_members, init_folder
 from authguard_r.client.controller import ControllerDesk, MessageSource, OutgoingMessage
 from authguard_r.client.handshake import Greeting
 from authguard_r.client.proof import prove
+from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, b64, digest_of
 from authguard_r.core.identifiers import ActionType, Digest
+from authguard_r.core.lease import Lease
 from authguard_r.core.mission import Mission
 from authguard_r.core.ports import Store
 from authguard_r.core.token import sign_object
 from authguard_r.enforcement.signed_orders import Command, Verb
-from authguard_r.keys.signer import folder_signer, gate_name
+from authguard_r.keys.signer import FileSigner, folder_signer, gate_name
 from authguard_r.keys.trust import read_trust
 from authguard_r.normalize import Binder
 from authguard_r.normalize.binding import Binding, load_binding
@@ -51,9 +53,10 @@ from authguard_r.server.plan_reader import PlanReader
 from authguard_r.server.recovery import Recovery
 from authguard_r.server.remote_controller import RemoteController, ShadowController
 from authguard_r.server.service import Service
+from authguard_r.server.service_parts import ServiceParts
 from authguard_r.server.state_inbox import StateInbox
-from authguard_r.server.streams import Streams
-from authguard_r.server.wiring import assemble
+from authguard_r.server.streams import StreamBounds, Streams
+from authguard_r.server.wiring import LogSettings, join, open_gate_store
 from authguard_r.sim.body import SymbolicBody
 from authguard_r.sim.robot import Faults, SymbolicRobot
 from authguard_r.site.model import Site, stopping_mm
@@ -212,6 +215,7 @@ class House:
         estimator: bool = True,
         speed_up: int = 10,
         clock: HandClock | None = None,
+        parts: dict[str, Any] | None = None,
         **bounds: Any,
     ) -> None:
         self.clock = clock or HandClock()
@@ -240,6 +244,7 @@ class House:
         self._lives = 0
         self._store = store or MemoryStore()
         self._speed_up = speed_up
+        self._parts = parts or {}
         self._assemble(mode)
         self._runner = asyncio.Runner()
         self._guests: list[Guest] = []
@@ -251,45 +256,60 @@ class House:
     def _assemble(self, mode: Mode) -> None:
         shadow = mode is Mode.SHADOW
         self.inbox = StateInbox()
-        self.remote = (
-            None if shadow else RemoteController(renew_within_ms=self.config.renew_within_ms)
-        )
         signer = self.signer(gate_name(scenarios.RID))
-        self.gate = assemble(
+        opened = open_gate_store(
+            self._store,
             trust=read_trust(self.folder),
             chain=signer.chain,
             site=self.site,
-            safety=EnvelopeGate(default_safety(self.site, scenarios.RID)),
-            controller=ShadowController() if self.remote is None else self.remote,
             source=self.inbox,
             clock=self.clock,
-            store=self._store,
-            genesis={},
+            log=LogSettings(
+                marks={"mode": "shadow"} if shadow else {},
+                refusals=RefusalPolicy(delay_ms=100, fold_ms=0 if shadow else self.config.fold_ms),
+            ),
             demo=True,
-            refusals=RefusalPolicy(delay_ms=100, fold_ms=0 if shadow else self.config.fold_ms),
-            stand_within_ms=self.config.stand_within_ms,
-            marks={"mode": "shadow"} if shadow else {},
         )
-        self.gate.enforcer.before_first(lambda: None)
-        self.streams = None
-        if self.remote is not None:
-            self.remote.keep_time(self.gate.ledger.mono_ms)
-            profile = self.site.robots[scenarios.RID].profile
-            self.streams = Streams(
-                self.gate.ledger,
-                self.remote,
-                facts=self.gate.facts,
-                stopping_mm=partial(stopping_mm, profile),
-                state=lambda: self.gate.enforcer.intake.newest,
+        bounds = StreamBounds(
+            opened.facts,
+            opened.ledger.mono_ms,
+            stopping_mm=partial(stopping_mm, self.site.robots[scenarios.RID].profile),
+            state=lambda: opened.intake.newest,
+        )
+        #: refuses a dispatch, where a test wants one refused
+        self.admit: Callable[[Action, Lease], None] = bounds.admit
+        self.remote = (
+            None
+            if shadow
+            else RemoteController(
+                opened.ledger.mono_ms,
+                renew_within_ms=self.config.renew_within_ms,
+                admit=self._admitted,
             )
-            self.remote.admit_with(self.streams.admit)
+        )
+        self.gate = join(
+            opened,
+            safety=EnvelopeGate(default_safety(self.site, scenarios.RID)),
+            controller=ShadowController() if self.remote is None else self.remote,
+            clock=self.clock,
+            stand_within_ms=self.config.stand_within_ms,
+            recovers=False,
+        )
+        self.streams = None if self.remote is None else Streams(opened.ledger, self.remote, bounds)
         self.reader = PlanReader(self.site, self.binding, within_s=PATIENCE_S)
         self.recovery = Recovery(self.gate.management)
         self.recovery.begin()
         self._journal = TemporaryFile()  # noqa: SIM115 - closed with the house
-        self.service = Service(
-            self.gate,
-            self.config,
+        self.service = Service(self._service_parts(signer))
+        self.service.begin()
+
+    def _admitted(self, action: Action, lease: Lease) -> None:
+        self.admit(action, lease)
+
+    def _service_parts(self, signer: FileSigner) -> ServiceParts:
+        return ServiceParts(
+            gate=self.gate,
+            config=self.config,
             binder=Binder(self.site, self.binding),
             reader=self.reader,
             channels=dict(self.site.channels),
@@ -299,6 +319,7 @@ class House:
             streams=self.streams,
             recovery=self.recovery,
             journal=EventLog(self._journal.fileno()),
+            **self._parts,
         )
 
     @property

@@ -61,7 +61,7 @@ def planner(house: House) -> Guest:
 def stops(house: House, count: int) -> None:
     """Let a planner stop the robot so many times more."""
     for _ in range(count):
-        house.stop(ClientRole.PLANNER, house.service.view.stops + 1)
+        house.stop(ClientRole.PLANNER, house.service.queries.stops + 1)
 
 
 def budget(house: House) -> int:
@@ -77,8 +77,8 @@ def test_a_day_without_any_cause_raises_no_alert() -> None:
         for plan in (SCAN, GO, FORBIDDEN, SCAN):
             listen(house)
             house.propose(client, plan)
-            house.do(house.service.vigil.look)
-            house.do(house.service.retirement.look)
+            house.do(house.service.log_maintenance.look)
+            house.do(house.service.retention.look)
         stops(house, budget(house))
         command(house, Verb.SUSPEND)
         house.propose(client, SCAN)

@@ -25,7 +25,7 @@ from authguard_r.core.token import sign_object
 from authguard_r.keys.notes import witness_key
 from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
-from authguard_r.server.log_maintenance import notary_policy
+from authguard_r.server.log_maintenance import checkpoint_policy
 from authguard_r.wire.messages import ClientRole
 from fixtures import scenarios
 from fixtures.small_witness import SmallWitness
@@ -118,7 +118,7 @@ def test_one_key_under_two_names_is_one_witness() -> None:
 def test_what_is_said_of_witnesses_is_what_is_asked() -> None:
     said = {"checkpoint_records": 10, "checkpoint_ms": 5_000, "witness_ms": 7, "quorum": 1}
     held = opened(config(witnesses=(ONES, TWOS), **said))
-    policy = notary_policy(held)
+    policy = checkpoint_policy(held)
     assert (policy.records, policy.every_ms) == (10, 5_000)
     asked = policy.witnesses
     assert (asked.places, asked.quorum, asked.silence_ms) == ((ONES, TWOS), 1, 7)

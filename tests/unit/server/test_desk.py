@@ -69,7 +69,7 @@ def test_a_body_that_is_none_is_answered_and_recorded_and_the_client_stays(
         house.advance(200)
         (record,) = house.log("refusal")
         assert record.open["client"].endswith(f".{role}")
-        assert house.service.view.counted["refused"] == 2
+        assert house.service.queries.counted["refused"] == 2
 
 
 def test_a_fault_of_ours_is_an_answer_and_everybody_is_served_on() -> None:
@@ -274,12 +274,12 @@ def test_who_watches_is_told_of_decisions_outcomes_stops_orders_and_clients() ->
 
 def test_a_view_knows_of_the_mission_after_each_order() -> None:
     with House(robot=False) as house:
-        view: GateQueries = house.service.view
-        assert view.has_mission is False
+        view: GateQueries = house.service.queries
+        assert view.mission.runs is False
         house.activate()
-        assert view.has_mission is True
+        assert view.mission.runs is True
         order(house, OrderKind.COMMAND, house.order(Verb.SUSPEND))
-        assert view.has_mission is False
+        assert view.mission.runs is False
 
 
 # what a planner was shown, in parts
@@ -292,8 +292,8 @@ def turns(house: House, guest: Guest, *asked: tuple[Kind, object]) -> int:
     def serve() -> None:
         nonlocal count
         for number, (kind, body) in enumerate(asked, 101):
-            service._ring.came(client, Frame(kind, number, encode_fast(body)))
-        while service._ring:
+            service._queue.came(client, Frame(kind, number, encode_fast(body)))
+        while service._queue:
             service._turn()
             count += 1
 
@@ -335,10 +335,10 @@ def test_others_have_their_turns_between_the_parts_of_a_long_text() -> None:
         served: list[int] = []
 
         def serve() -> None:
-            service._ring.came(house.client(planner), Frame(Kind.OBSERVE, 101, encode_fast(long)))
+            service._queue.came(house.client(planner), Frame(Kind.OBSERVE, 101, encode_fast(long)))
             service._turn()
-            service._ring.came(house.client(auditor), Frame(Kind.STATUS, 102, b"{}"))
-            while service._ring:
+            service._queue.came(house.client(auditor), Frame(Kind.STATUS, 102, b"{}"))
+            while service._queue:
                 service._turn()
                 served.append(len(house.client(auditor).waiting))
 
@@ -355,7 +355,7 @@ def test_who_hangs_up_while_its_text_is_looked_through_has_been_shown_all_of_it(
         seen = Observe(channel="user", text="x" * (5 * PART) + " Office 1 ")
 
         def go() -> None:
-            house.service._ring.came(client, Frame(Kind.OBSERVE, 101, encode_fast(seen)))
+            house.service._queue.came(client, Frame(Kind.OBSERVE, 101, encode_fast(seen)))
             house.service._turn()
             planner.line.close()
 

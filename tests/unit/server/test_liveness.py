@@ -31,13 +31,13 @@ class Bench:
     def __init__(self, **bounds: Any) -> None:
         self.clock = HandClock()
         self.raised: list[str] = []
+        self.phase: MissionPhase | None = PHASE
         self.liveness = Liveness(
             config(**{**QUIET, **bounds}),
             self.clock.mono_ms,
             lambda what, _: self.raised.append(what),
+            lambda: self.phase,
         )
-        self.phase: MissionPhase | None = PHASE
-        self.liveness.mission = lambda: self.phase
         self.liveness.follow()
 
     def over(self, what: str) -> list[bool]:

@@ -47,7 +47,7 @@ def test_a_lease_is_renewed_only_while_it_holds() -> None:
         house.stop(ClientRole.OPERATOR, 1)
         assert renewals(house) == 0
         house.rest(planner, number)
-        assert len(house.service.motions) == 0
+        assert len(house.service.leases) == 0
 
 
 @pytest.mark.parametrize(
@@ -128,11 +128,11 @@ def test_an_outcome_is_told_once_however_often_it_is_said() -> None:
 def test_what_is_open_can_be_listed_until_it_has_ended() -> None:
     with House() as house:
         planner, number = walking(house)
-        (lease,) = house.service.motions.leases()
+        (lease,) = house.service.leases.leases()
         assert (lease.ticket, lease.action) == (ticket_of(house), "navigate")
         assert (lease.since_ms, lease.until_ms) == (0, 180_000)
         house.rest(planner, number)
-        assert house.service.motions.leases() == ()
+        assert house.service.leases.leases() == ()
 
 
 def test_nobody_has_to_be_told_where_there_is_no_controller() -> None:
@@ -140,7 +140,7 @@ def test_nobody_has_to_be_told_where_there_is_no_controller() -> None:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         number = house.begin(planner, SCAN)
-        assert len(house.service.motions) == 1
+        assert len(house.service.leases) == 1
         assert house.rest(planner, number)["steps"][0]["execution"]["outcome"] == "succeeded"
         empty = LeaseRegistry(None, None)
         empty.look()

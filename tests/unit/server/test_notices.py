@@ -24,7 +24,7 @@ def test_an_alert_is_a_record_an_event_and_a_line() -> None:
         watcher = house.enter(ClientRole.AUDITOR)
         other = house.enter(ClientRole.AUDITOR, "other")
         number = watcher.say(Kind.WATCH, {})
-        house.do(lambda: house.service.notices.alert("smoke", {"silent_ms": 5}))
+        house.do(lambda: house.service.events.alert("smoke", {"silent_ms": 5}))
         (record,) = house.log("alert")
         assert record.open == {"what": "smoke", "silent_ms": 5}
         (event,) = watcher.bodies(Kind.EVENT, number)
@@ -39,7 +39,7 @@ def test_an_alert_that_cannot_be_recorded_is_told_all_the_same() -> None:
         watcher = house.enter(ClientRole.AUDITOR)
         number = watcher.say(Kind.WATCH, {})
         house.do(house.gate.ledger.store.close)
-        house.do(lambda: house.service.notices.alert("smoke", {}))
+        house.do(lambda: house.service.events.alert("smoke", {}))
         assert [event["what"] for event in watcher.bodies(Kind.EVENT, number)] == ["smoke"]
         house.crashes = True
 
@@ -49,7 +49,7 @@ def test_a_clock_behind_leaves_events_without_a_time() -> None:
         watcher = house.enter(ClientRole.AUDITOR)
         number = watcher.say(Kind.WATCH, {})
         house.clock.ms -= 3_600_000
-        house.do(lambda: house.service.notices.publish({"event": "x"}))
+        house.do(lambda: house.service.events.publish({"event": "x"}))
         assert watcher.bodies(Kind.EVENT, number) == [{"time_ms": None, "event": "x"}]
         house.crashes = True
 

@@ -94,7 +94,7 @@ def test_a_second_proposal_while_one_runs_is_busy_and_unread() -> None:
         with pytest.raises(Refused) as refused:
             client.answer(77)
         assert refused.value.code == "BUSY"
-        assert house.service.view.counted["shed"] == 1
+        assert house.service.queries.counted["shed"] == 1
         assert house.rest(client, number)["steps"][0]["executed"]
         assert house.propose(client, SCAN)["steps"][0]["executed"]  # free again
 
@@ -225,7 +225,7 @@ def test_a_planner_that_goes_while_its_plan_is_read_gets_nothing_begun() -> None
         house.activate()
         house.begin(client, SCAN + LONG, "look")
         client.leave()
-        house.until(lambda: not house.service._desk._plans._open)
+        house.until(lambda: not house.service._dispatcher._plans._open)
         assert decided(house) == []
         # nothing was decided under the key, so it can come again
         back = planner(house)
@@ -343,7 +343,7 @@ def test_a_channel_that_nobody_gave_a_label_is_refused() -> None:
 def test_nobody_inputs_are_forgotten_for_one_more_planner() -> None:
     with House(robot=False, estimator=False, connections=8) as house:
         channel = "user"
-        plans = house.service._desk._plans
+        plans = house.service._dispatcher._plans
         for number in range(_MOST_CONTEXTS - 1):  # of many users
             plans._contexts[Identifier(f"u{10**6 + number}.p")] = plans._empty()
         client = planner(house, "p0")
@@ -359,7 +359,7 @@ def test_nobody_inputs_are_forgotten_for_one_more_planner() -> None:
 
 def test_one_user_has_its_own_part_of_what_is_kept_and_no_more() -> None:
     with House(robot=False, estimator=False) as house:
-        plans = house.service._desk._plans
+        plans = house.service._dispatcher._plans
         for number in range(_MOST_OF_USER):
             client = planner(house, f"p{number}")
             client.ask(Kind.OBSERVE, Observe(channel="user", text="Pharmacy"))
@@ -379,13 +379,13 @@ def test_a_first_text_that_is_refused_takes_nobodys_place() -> None:
         client = planner(house)
         with pytest.raises(Refused):
             client.ask(Kind.OBSERVE, Observe(channel="carrier pigeon", text="coo"))
-        assert house.service._desk._plans._contexts == {}
-        assert house.service._desk._plans._unheard == set()
+        assert house.service._dispatcher._plans._contexts == {}
+        assert house.service._dispatcher._plans._unheard == set()
 
 
 def test_who_was_shown_something_that_could_not_be_noted_may_have_seen_anything() -> None:
     with House() as house:
-        plans = house.service._desk._plans
+        plans = house.service._dispatcher._plans
         uid = os.geteuid()
         for number in range(_MOST_OF_USER):
             plans._contexts[Identifier(f"u{uid}.p{number}")] = plans._empty()
@@ -401,7 +401,7 @@ def test_who_was_shown_something_that_could_not_be_noted_may_have_seen_anything(
 
 def test_who_connects_anew_is_not_forgotten_to_have_seen_anything() -> None:
     with House() as house:
-        plans = house.service._desk._plans
+        plans = house.service._dispatcher._plans
         uid = os.geteuid()
         for number in range(_MOST_OF_USER):
             plans._contexts[Identifier(f"u{uid}.p{number}")] = plans._empty()
@@ -419,7 +419,7 @@ def test_who_connects_anew_is_not_forgotten_to_have_seen_anything() -> None:
 
 def test_more_names_than_are_kept_of_those_who_were_not_heard_are_their_whole_user() -> None:
     with House() as house:
-        plans = house.service._desk._plans
+        plans = house.service._dispatcher._plans
         uid = os.geteuid()
         plans._unheard.update(f"u{uid}.p{number}" for number in range(_MOST_OF_USER))
         for number in range(_MOST_OF_USER):
@@ -464,7 +464,7 @@ def test_a_long_plan_whose_planner_hung_up_is_not_read_when_its_turn_comes() -> 
         house.begin(goes, SCAN + LONG)
         goes.leave()
         house.until(lambda: stays.answer(number))
-        house.until(lambda: not house.service._desk._plans._open)
+        house.until(lambda: not house.service._dispatcher._plans._open)
         assert decided(house) == ["reject"]
 
 
@@ -480,7 +480,7 @@ def test_a_planner_that_comes_back_while_its_long_plan_waits_gets_that_plans_ans
         goes.leave()
         if returns == "after its turn":
             house.until(lambda: stays.answer(number))
-            house.until(lambda: not house.service._desk._plans._open)
+            house.until(lambda: not house.service._dispatcher._plans._open)
         back = planner(house, "llm")
         again = house.begin(back, SCAN + LONG, "look")
         house.until(lambda: len(house.log("decision")) == 2)

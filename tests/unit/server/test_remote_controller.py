@@ -56,11 +56,24 @@ class Bench:
 
     def __init__(self, *, connected: bool = True) -> None:
         self.clock = HandClock()
-        self.remote = RemoteController(renew_within_ms=300)
-        self.remote.keep_time(self.clock.mono_ms)
+        #: stands for the stop process, and for what may refuse a dispatch
+        self.ask: Any = lambda _: False
+        self.admit: Any = lambda _action, _lease: None
+        self.remote = RemoteController(
+            self.clock.mono_ms,
+            renew_within_ms=300,
+            admit=self._admitted,
+            ask=self._asked,
+        )
         self.sent: list[tuple[Kind, Any, int]] = []
         if connected:
             self.attach()
+
+    def _admitted(self, action: Action, lease: Lease) -> None:
+        self.admit(action, lease)
+
+    def _asked(self, done: Any) -> bool:
+        return bool(self.ask(done))
 
     def attach(self) -> None:
         self.remote.attach(lambda kind, body, number: self.sent.append((kind, body, number)))
@@ -73,7 +86,7 @@ class Bench:
             asked.append(done)
             return True
 
-        self.remote.ask_with(ask)
+        self.ask = ask
         return asked
 
     def dispatch(self, ticket: Digest = ONE, **more: Any) -> Any:
@@ -306,7 +319,7 @@ def test_what_the_lane_answers_says_nothing_of_another_controllers_stops() -> No
 def test_a_lane_that_is_gone_is_nobody_to_ask() -> None:
     bench = Bench()
     serves = [True, False]
-    bench.remote.ask_with(lambda _: serves.pop(0))
+    bench.ask = lambda _: serves.pop(0)
     bench.remote.hear(Stood(stops=1, life=LIFE))
     assert bench.stops() == 0
     bench.clock.ms += EXPLAIN_WITHIN_MS
@@ -331,7 +344,7 @@ def test_what_is_not_admitted_is_not_dispatched() -> None:
     def refuse(*_: object) -> None:
         raise ControllerError("not here")
 
-    bench.remote.admit_with(refuse)
+    bench.admit = refuse
     with pytest.raises(ControllerError, match="not here"):
         bench.dispatch()
     assert (bench.sent, bench.remote._flights) == ([], {})

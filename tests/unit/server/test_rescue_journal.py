@@ -13,7 +13,8 @@ import pytest
 
 from authguard_r.enforcement.emergency.policy import Caller
 from authguard_r.keys.signer import gate_name
-from authguard_r.server.emergency_wiring import STRANGE, open_journal
+from authguard_r.server.emergencies import STRANGE
+from authguard_r.server.emergency_wiring import open_journal
 from authguard_r.store.memory import MemoryStore
 from authguard_r.wire.messages import ClientRole, Kind
 from fixtures import emergency_policies, scenarios

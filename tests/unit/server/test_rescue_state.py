@@ -49,7 +49,7 @@ def test_a_robot_that_was_too_fast_is_helped_once_newer_state_shows_that_it_stan
         with deaf(house):
             called = house.begin_call(person, "go-safe")
             house.advance(1_000)
-            assert not house.service.motions  # it stands, and nobody has measured since
+            assert not house.service.leases  # it stands, and nobody has measured since
             assert (person.answer(called), house.told) == (None, [])
         answer = house.rest(person, called)
         assert answer["execution"]["outcome"] == "succeeded"
@@ -65,7 +65,7 @@ def test_a_call_is_refused_when_no_newer_state_comes_in_time(wait_ms: int) -> No
         with deaf(house):
             called = house.begin_call(guest, "go-safe")
             assert house.remote is not None
-            while house.service.motions or not house.remote.at_rest:
+            while house.service.leases or not house.remote.at_rest:
                 house.advance(STEP_MS)
             stood_ms = house.clock.ms
             answer = house.rest(guest, called)
@@ -200,7 +200,7 @@ def test_the_gate_stops_no_mission_for_guards_that_hold_on_older_state_alone() -
             see(house, human_distance_mm=1_400)
             house.gate.ledger.raise_fence()
             house.advance(2 * house.config.state_wait_ms)
-            assert len(house.service.motions) == 1
+            assert len(house.service.leases) == 1
             assert (house.told, house.log("refusal")) == ([], [])
         house.advance(30_000)
         assert house.told == [("accept", "mine"), ("succeeded", "mine")]

@@ -36,13 +36,13 @@ def refuses(house: Ward) -> None:
         raise ControllerError("it does not begin")
 
     assert house.remote is not None
-    house.remote.admit_with(refuse)
+    house.admit = refuse
 
 
 def takes(house: Ward) -> None:
     """Let the controller's end take everything again."""
     assert house.remote is not None
-    house.remote.admit_with(lambda _action, _lease: None)
+    house.admit = lambda _action, _lease: None
 
 
 def set_distance(house: Ward, distance_mm: int) -> None:

@@ -24,9 +24,10 @@ from authguard_r.enforcement.emergency.policy import Caller, EmergencyPolicy
 from authguard_r.enforcement.emergency_audit import EmergencyStanding
 from authguard_r.enforcement.emergency_enforcer import EmergencyExecution, EmergencyReport
 from authguard_r.enforcement.signed_orders import Verb
-from authguard_r.keys.signer import gate_name
+from authguard_r.keys.signer import FileSigner
 from authguard_r.server import emergencies
-from authguard_r.server.emergency_wiring import open_journal, open_road
+from authguard_r.server.emergency_wiring import open_emergency_enforcer, open_journal
+from authguard_r.server.service_parts import ServiceParts
 from authguard_r.sim.robot import Faults
 from authguard_r.store.memory import MemoryStore
 from authguard_r.wire.messages import ClientRole, Emergency, Kind, Order, OrderKind
@@ -83,17 +84,12 @@ class Ward(House):
             }
         )
 
-    def _assemble(self, mode: Any) -> None:
-        super()._assemble(mode)
+    def _service_parts(self, signer: FileSigner) -> ServiceParts:
         path = self._path
-        key = self.signer(gate_name(scenarios.RID))
-        self.spool = None if path is None else open_journal(path, self.gate.ledger, key)
-        self.road = open_road(
-            self.service,
-            emergency_policies.opened(self._policy),
-            self.spool,
-            controller=self.remote,
-        )
+        self.spool = None if path is None else open_journal(path, self.gate.ledger, signer)
+        opened = emergency_policies.opened(self._policy)
+        self.road = open_emergency_enforcer(self.gate, opened, self.spool)
+        return msgspec.structs.replace(super()._service_parts(signer), emergency=self.road)
 
     def __exit__(self, *more: object) -> None:
         super().__exit__(*more)
@@ -564,11 +560,11 @@ def test_what_was_true_before_the_robot_stood_is_asked_again() -> None:
 def test_a_gate_that_ends_begins_nothing_and_does_not_call_by_itself() -> None:
     always = {**emergency_policies.LET_GO, "guards": [emergency_policies.TRUE]}
     with Ward(emergency_policies.GO_SAFE, {**always, "id": "mine"}) as house:
-        served = house.service.desk.rescues
+        served = house.service.emergencies
         assert served is not None
         house.advance(500)
         count = len(house.told)
-        served.closing = lambda: True
+        house.service.ended.set()
         assert house.call(planner(house), "go-safe")["reasons"] == ["BUSY"]
         house.advance(500)
         assert len(house.told) == count
@@ -584,7 +580,7 @@ def test_only_the_last_answers_and_users_are_kept(monkeypatch: pytest.MonkeyPatc
         guest = planner(house)
         for key in ("a", "b", "c"):
             house.call(guest, "call-help", key)
-        kept = house.service.desk.rescues
+        kept = house.service.emergencies
         assert kept is not None
         ((_, answers),) = kept._answers.items()
         assert [key for _, key in answers] == ["b", "c"]
@@ -802,7 +798,7 @@ def test_what_the_gate_could_not_begin_is_called_once_a_second_and_no_oftener() 
     disk = Disk()
     made = Ward(always(without=["mission"]), at="station-103", store=disk)
     told: list[dict[str, Any]] = []
-    road = made.service.desk.rescues
+    road = made.service.emergencies
     assert road is not None
     road._publish = told.append
     disk.dead = True

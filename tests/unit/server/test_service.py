@@ -45,7 +45,7 @@ def test_status_names_damage_to_issued_missions_beside_the_active_one() -> None:
         auditor = house.enter(ClientRole.AUDITOR)
         assert auditor.ask(Kind.STATUS)["damaged"] == []
         house.gate.ledger.run(lambda act: act.put("issued", "names", b"{"))
-        house.service.view.mission_changed()
+        house.service.queries.mission.changed()
         shown = auditor.ask(Kind.STATUS)
         (text,) = shown["damaged"]
         assert "STORE_CORRUPT: the list of issued missions is damaged" in text
@@ -101,7 +101,7 @@ def test_proposals_that_are_shed_in_a_row_are_counted_and_one_refusal() -> None:
         number = house.begin(planner, GO)
         for n in (91, 92):
             house.send(planner, raw_frame(Kind.PROPOSE, n, b"{"))
-        assert house.service.view.counted["shed"] == 2
+        assert house.service.queries.counted["shed"] == 2
         busy = [r for r in house.log("refusal") if r.open["reasons"] == ["BUSY"]]
         assert len(busy) == 1
         assert house.rest(planner, number)["steps"][0]["executed"]
@@ -196,7 +196,7 @@ def test_an_operators_stop_suspends_and_the_same_stop_twice_is_one() -> None:
         assert house.sealed(record.link.seq)["why"] == "smoke"
         (step,) = house.rest(planner, number)["steps"]
         assert reasons(step) == ["MISSION_SUSPENDED"]
-        assert house.service.view.stops == 1
+        assert house.service.queries.stops == 1
         assert house.service.stops.settled
 
 
@@ -338,7 +338,7 @@ def test_a_store_that_is_gone_does_not_end_the_listening() -> None:
     with House(robot=False) as house:
         house.activate()
         house.gate.ledger.store.close()
-        house.service.view.mission_changed()
+        house.service.queries.mission.changed()
         house.do(house.service._listen)
         house.do(lambda: quietly(house.gate.ledger.flush))
         house.crashes = True
@@ -347,12 +347,12 @@ def test_a_store_that_is_gone_does_not_end_the_listening() -> None:
 # the clocks
 
 
-def running(house: House, ended: asyncio.Event, *, after: Any = None) -> None:
+def running(house: House, *, after: Any = None) -> None:
     """Run the service's clocks until somebody ends it."""
 
     async def whole() -> None:
         async with asyncio.timeout(30):
-            serving = asyncio.create_task(house.service.run(ended))
+            serving = asyncio.create_task(house.service.run())
             if after is not None:
                 await after()
             await serving
@@ -362,7 +362,6 @@ def running(house: House, ended: asyncio.Event, *, after: Any = None) -> None:
 
 def test_the_clocks_look_flush_and_listen_until_the_end() -> None:
     with House(robot=False, estimator=False) as house:
-        ended = asyncio.Event()
         planner = house.enter(ClientRole.PLANNER)
         house.begin(planner, FORBIDDEN)  # no mission: a refusal, which waits
         rows = house.gate.ledger.run(lambda act: act.head()[0])
@@ -370,9 +369,9 @@ def test_the_clocks_look_flush_and_listen_until_the_end() -> None:
         async def flushed() -> None:
             while house.gate.ledger.run(lambda act: act.head()[0]) == rows:
                 await asyncio.sleep(0.01)
-            ended.set()
+            house.service.ended.set()
 
-        running(house, ended, after=flushed)
+        running(house, after=flushed)
         planner.pull()
         assert planner.line.recv(1) == b""  # everybody was let go
 
@@ -390,7 +389,7 @@ def test_a_clock_that_fails_ends_the_gate_and_the_robot_is_stopped_first() -> No
 
         house.service._advance = fails
         with pytest.raises(ZeroDivisionError):
-            running(house, asyncio.Event())
+            running(house)
         assert house.controller is not None
         assert len(house.controller.bodies(Kind.HALT)) == 1  # though nobody answered in time
         assert house.log("stop")[0].open["by"] == "gate"
@@ -402,7 +401,7 @@ async def answering(house: House) -> None:
     controller, desk = house.controller, house.desk
     assert controller is not None
     assert desk is not None
-    while len(house.service.motions):
+    while len(house.service.leases):
         controller.pull()
         came, controller.got = controller.got, []
         for item in came:
@@ -418,11 +417,10 @@ def test_a_clean_end_stops_what_moves_and_writes_how_it_ended() -> None:
         house.activate()
         house.begin(planner, GO)
         house.advance(500)
-        ended = asyncio.Event()
-        ended.set()
+        house.service.ended.set()
         assert house.controller is not None
 
-        running(house, ended, after=lambda: answering(house))
+        running(house, after=lambda: answering(house))
         (record,) = house.log("outcome")
         assert (record.link.decision, record.open["reasons"]) == ("aborted", ["STOPPED"])
         assert house.standing.open == ()

@@ -14,7 +14,8 @@ from authguard_r.core.encoding import b64, encode_fast
 from authguard_r.core.errors import ControllerError
 from authguard_r.core.identifiers import Digest
 from authguard_r.core.mission import Limit
-from authguard_r.server.streams import MIN_GAP_MS, RECORD_MS, is_stream
+from authguard_r.core.state import AttestedState
+from authguard_r.server.streams import MIN_GAP_MS, RECORD_MS, Streams, _Stream, is_stream
 from authguard_r.wire.messages import ClientRole, Close, Kind, Sample
 from fixtures import scenarios
 from unit.server.demo_site import (
@@ -160,12 +161,12 @@ def test_without_a_known_place_no_stream_begins_and_anything_else_may() -> None:
         streams = house.streams
         assert streams is not None
         lease = streams._open[driven.ticket].lease
-        streams._state = lambda: None
+        streams._bounds._state = lambda: None
         action = Action(type="drive", tool="base", params={"linear_mm_s": 1, "duration_ms": 5})
         with pytest.raises(ControllerError) as refused:
-            streams.admit(action, lease)
+            streams._bounds.admit(action, lease)
         assert (refused.value.reason, refused.value.where) == ("OUTSIDE_REGIONS", "params")
-        streams.admit(scenarios.navigate("dock", "pharmacy"), lease)
+        streams._bounds.admit(scenarios.navigate("dock", "pharmacy"), lease)
 
 
 def test_a_stream_is_closed_after_its_duration_and_takes_no_sample_then() -> None:
@@ -187,6 +188,14 @@ def test_a_stream_is_closed_after_its_duration_and_takes_no_sample_then() -> Non
         assert len(house.controller.bodies(Kind.FORWARD)) == forwarded
 
 
+def fits(
+    streams: Streams, stream: _Stream, params: dict[str, int], state: AttestedState | None
+) -> bool:
+    """Return whether a sample passes in this state."""
+    streams._bounds._state = lambda: state
+    return streams._fits(stream, params)
+
+
 def test_what_is_not_known_any_more_reaches_further() -> None:
     # at 36 500 + 150 mm of margin and 240 mm of braking there is a meter left, for two seconds
     with driving() as house:
@@ -198,15 +207,15 @@ def test_what_is_not_known_any_more_reaches_further() -> None:
         assert streams is not None
         stream = streams._open[driven.ticket]
         house.clock.ms += 10_000
-        assert streams._fits(stream, fast, state) is False
-        assert streams._fits(stream, ZERO, state) is True
-        assert streams._fits(stream, ZERO, None) is False
+        assert fits(streams, stream, fast, state) is False
+        assert fits(streams, stream, ZERO, state) is True
+        assert fits(streams, stream, ZERO, None) is False
         assert state is not None
         lost = msgspec.structs.replace(state.snapshot, pose=None)
-        assert streams._fits(stream, ZERO, msgspec.structs.replace(state, snapshot=lost)) is False
+        assert fits(streams, stream, ZERO, msgspec.structs.replace(state, snapshot=lost)) is False
         away = msgspec.structs.replace(state.snapshot.pose, x_mm=10**6)  # type: ignore[type-var]
         gone = msgspec.structs.replace(state.snapshot, pose=away)
-        assert streams._fits(stream, ZERO, msgspec.structs.replace(state, snapshot=gone)) is False
+        assert fits(streams, stream, ZERO, msgspec.structs.replace(state, snapshot=gone)) is False
 
 
 def test_without_regions_or_known_brakes_the_lease_alone_holds_a_stream() -> None:
@@ -215,12 +224,11 @@ def test_without_regions_or_known_brakes_the_lease_alone_holds_a_stream() -> Non
         streams = house.streams
         assert streams is not None
         stream = streams._open[driven.ticket]
-        state = house.gate.enforcer.intake.state
         nowhere = msgspec.structs.replace(stream.lease, regions=())
-        assert streams._stays_inside(nowhere, SLOW, None) is True
-        streams._stopping_mm = lambda _: None
+        assert streams._bounds.stays_inside(nowhere, SLOW) is True
+        streams._bounds._stopping_mm = lambda _: None
         house.clock.ms += 10**6
-        assert streams._stays_inside(stream.lease, SLOW, state) is True
+        assert streams._bounds.stays_inside(stream.lease, SLOW) is True
 
 
 def test_another_clients_stream_is_not_to_be_sampled_nor_ended() -> None:

@@ -58,11 +58,11 @@ def test_status_says_when_a_mission_closes() -> None:
             type(house.standing),
         )
         house.gate.ledger.run(lambda act: act.hold(ending))
-        house.service.view.mission_changed()
+        house.service.queries.mission.changed()
         mission = house.enter(ClientRole.AUDITOR).ask(Kind.STATUS)["mission"]
         assert mission["status"] == "closing"
         assert mission["closes"].endswith("Z")
-        assert house.service.view.has_mission
+        assert house.service.queries.mission.runs
 
 
 def test_metrics_count_and_hold_no_content_of_a_mission() -> None:
@@ -115,17 +115,18 @@ def test_a_page_of_the_log_is_whole_records_and_never_longer_than_a_page() -> No
 
 def test_a_disk_that_cannot_be_asked_is_not_told_and_one_that_can_is() -> None:
     with House(robot=False) as house:
+        assert house.enter(ClientRole.AUDITOR).ask(Kind.STATUS)["disk"] is None
+    with House(robot=False, parts={"free_bytes": lambda: 7}) as house:
         auditor = house.enter(ClientRole.AUDITOR)
-        assert auditor.ask(Kind.STATUS)["disk"] is None
-        house.service.view.free_bytes = lambda: 7
         reserve = house.service.config.reserve_bytes
         assert auditor.ask(Kind.STATUS)["disk"] == {"free_bytes": 7, "reserve_bytes": reserve}
         assert auditor.ask(Kind.METRICS)["disk_free_bytes"] == 7
 
-        def gone() -> int:
-            raise OSError
+    def gone() -> int:
+        raise OSError
 
-        house.service.view.free_bytes = gone
+    with House(robot=False, parts={"free_bytes": gone}) as house:
+        auditor = house.enter(ClientRole.AUDITOR)
         assert auditor.ask(Kind.STATUS)["disk"] is None
         assert "disk_free_bytes" not in auditor.ask(Kind.METRICS)
 
@@ -135,8 +136,9 @@ def test_status_and_metrics_say_whether_the_stop_lane_answers_where_there_is_one
         auditor = house.enter(ClientRole.AUDITOR)
         assert auditor.ask(Kind.STATUS)["lane"] is None
         assert "lane_alive" not in auditor.ask(Kind.METRICS)
-        for alive in (True, False):
-            house.service.view.lane_alive = lambda it=alive: it
+    for alive in (True, False):
+        with House(robot=False, parts={"lane_alive": lambda it=alive: it}) as house:
+            auditor = house.enter(ClientRole.AUDITOR)
             assert auditor.ask(Kind.STATUS)["lane"] == {"alive": alive}
             assert auditor.ask(Kind.METRICS)["lane_alive"] == int(alive)
 
@@ -172,7 +174,7 @@ def test_a_clock_that_is_behind_hides_no_mission() -> None:
         assert len(mission["open"]) == 1
         assert auditor.ask(Kind.METRICS)["mission_active"] == 1
         house.gate.enforcer.intake.forget()  # a mission that was not verified here is not shown
-        house.service.view.mission_changed()
+        house.service.queries.mission.changed()
         assert auditor.ask(Kind.STATUS)["mission"] is None
         house.clock.wrong_ms = 0
         assert auditor.ask(Kind.STATUS)["mission"]["open"] == mission["open"]
