@@ -308,7 +308,6 @@ def step_7(
     expected = binding_of(mission, digest, grant, action, robot=facts["robot"])
     expected["situation"] = situation_of(mission, grant, tier, state=state, facts=facts, now=now)
     request = None if standing is None else standing.get("requests", {}).get(grant["id"])
-    prompts = 0 if standing is None else standing.get("prompts", 0)
     finding = approval_finding(
         expected,
         request,
@@ -319,10 +318,9 @@ def step_7(
         action=action,
         approvals=approvals,
         now=now,
-        prompts=prompts,
+        prompts=0 if standing is None else standing.get("prompts", 0),
     )
-    is_denied = request is not None and request.get("denied", False)
-    if finding not in ("", "APPROVAL_DENIED") and tier == 2 and not is_denied:
+    if finding not in ("", "APPROVAL_DENIED") and tier == 2 and not (request or {}).get("denied"):
         seen: Json = {"policies": policies, "action": action, "now": now, "standing": standing}
         seen |= {"issuer": issuer, "robot": facts["robot"], "risk": risk, "required": required}
         for item in preapprovals:

@@ -101,6 +101,5 @@ def simulate(
         log=LogSettings(genesis=genesis, sealed={"safety": config}, counter=counter, signer=signer),
         demo=True,
     )
-    return Simulation(
-        gate=gate, robot=robot, binder=Binder(site, binding), signer=signer, store=store
-    )
+    binder = Binder(site, binding)
+    return Simulation(gate=gate, robot=robot, binder=binder, signer=signer, store=store)
