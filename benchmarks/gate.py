@@ -18,20 +18,19 @@ from authguard_r.access.gate_config import default_config as gate_defaults
 from authguard_r.client import GateClient
 from authguard_r.core.identifiers import Identifier
 from authguard_r.core.standing import Outcome
-from authguard_r.enforcement.leases import WATCH_MS
 from authguard_r.enforcement.report import Report
 from authguard_r.keys.signer import folder_signer, gate_name
 from authguard_r.keys.trust import read_trust
 from authguard_r.normalize import Binder, normalize
 from authguard_r.provenance.context import ContextLedger
 from authguard_r.safety import EnvelopeGate, default_config
-from authguard_r.server.process import DELAY_MS
 from authguard_r.server.proposals import Keeper, ProposalRecord
 from authguard_r.server.wiring import LogSettings, assemble
 from authguard_r.sim.robot import SymbolicRobot
 from authguard_r.sim.world import initial_state
 from authguard_r.store.refusals import RefusalPolicy
 from authguard_r.store.sqlite import open_store
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import ClientRole, Kind, Mode
 from durable import row_size
 from echo import echoing
@@ -141,7 +140,9 @@ class _Twin:
             source=self._robot,
             clock=self._robot,
             store=open_store(path, reserve_bytes=bounds.reserve_bytes),
-            log=LogSettings(refusals=RefusalPolicy(delay_ms=DELAY_MS, fold_ms=bounds.fold_ms)),
+            log=LogSettings(
+                refusals=RefusalPolicy(delay_ms=LIMITS.refusal_delay_ms, fold_ms=bounds.fold_ms)
+            ),
             demo=True,
             stand_within_ms=bounds.stand_within_ms,
         )
@@ -188,7 +189,7 @@ class _Twin:
         if isinstance(begun, Report):
             _require(data is REFUSED, begun)
             return decided - start, 0
-        self._robot.pause(WATCH_MS)
+        self._robot.pause(LIMITS.watch_ms)
         report = begun.poll()
         settled = perf_counter_ns()
         _require(report is not None and report.outcome is Outcome.SUCCEEDED, report)
@@ -196,7 +197,7 @@ class _Twin:
 
     def _flush(self) -> None:
         """Write the refusals that wait, as often as the gate does and outside of what is timed."""
-        if monotonic() - self._flushed > DELAY_MS / 1_000:
+        if monotonic() - self._flushed > LIMITS.refusal_delay_ms / 1_000:
             self._gate.ledger.flush()
             self._flushed = monotonic()
 

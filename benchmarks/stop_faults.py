@@ -26,7 +26,7 @@ import machine
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "tests")]
 
-from authguard_r.estop.supervisor import WITHIN_S  # noqa: E402
+from authguard_r.wire.gate_limits import LIMITS  # noqa: E402
 from fixtures.gate_process import until  # noqa: E402
 from integration.stop_faults import (  # noqa: E402
     FAULTS,
@@ -166,7 +166,7 @@ def main() -> int:
                 print(f"{number + 1}/{given.trials} {name}: {one}", file=sys.stderr, flush=True)
     found = {name: told(kept) for name, kept in samples.items()}
     show(found, given.trials)
-    bound_ms = round(WITHIN_S * 1_000) + renew_ms
+    bound_ms = round(LIMITS.stop_within_s * 1_000) + renew_ms
     result = {
         "schema": "authguard-r/stop-faults/1",
         **machine.describe(Path(__file__).parent),

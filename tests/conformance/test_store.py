@@ -22,14 +22,8 @@ from authguard_r.core.errors import RefusedError, StoreError
 from authguard_r.core.ports import Turn
 from authguard_r.core.reasons import Reason
 from authguard_r.store.memory import MemoryStore
-from authguard_r.store.sqlite import (
-    _MAX_BATCH,
-    SqliteStore,
-    _Ticket,
-    open_store,
-    read_held,
-    read_rows,
-)
+from authguard_r.store.sqlite import SqliteStore, _Ticket, open_store, read_held, read_rows
+from authguard_r.wire.gate_limits import LIMITS
 
 #: A thread that is not back by then never will be, seconds.
 PATIENCE = 60
@@ -800,9 +794,9 @@ def test_more_jobs_than_one_batch_takes_are_all_answered(durable: SqliteStore) -
 
 def test_a_job_behind_a_full_batch_is_run_before_it_is_answered(durable: SqliteStore) -> None:
     # 64 threads that have queued their jobs and do not have the lock yet
-    durable._pending.extend(_Ticket(record) for _ in range(_MAX_BATCH))
-    assert durable.run(record) == _MAX_BATCH
-    assert head(durable)[0] == _MAX_BATCH + 1
+    durable._pending.extend(_Ticket(record) for _ in range(LIMITS.batch))
+    assert durable.run(record) == LIMITS.batch
+    assert head(durable)[0] == LIMITS.batch + 1
 
 
 def test_an_interrupt_at_the_commit_is_not_taken_for_a_commit(

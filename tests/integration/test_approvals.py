@@ -24,10 +24,10 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.risk import rho
 from authguard_r.core.standing import Outcome
 from authguard_r.core.token import read_token, sign_object
-from authguard_r.enforcement.inputs import _MOST_ANSWERS
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.signer import folder_signer, open_key_file
 from authguard_r.normalize import normalize
+from authguard_r.wire.gate_limits import LIMITS
 from fixtures import approvals, scenarios, templates
 from missionpair.bench import Bench, BenchScene, calls, make_bench, world
 from missionpair.suite import at_dock, wide, with_grant
@@ -443,7 +443,7 @@ def test_one_principal_fills_no_store_with_answers_and_can_deny_all_the_same(ben
     at = approvals.scene(bench, "isolation-room")
     approvals.outcome(at)
     first = approvals.approval(at)
-    for less_ms in range(_MOST_ANSWERS):
+    for less_ms in range(LIMITS.kept_answers):
         hand_in = approvals.signed(
             bench,
             msgspec.structs.replace(first, expires_ms=first.expires_ms - less_ms),
@@ -451,7 +451,7 @@ def test_one_principal_fills_no_store_with_answers_and_can_deny_all_the_same(ben
         )
         at.sim.gate.management.approve(hand_in)
         at.sim.gate.management.approve(hand_in)  # nothing new
-    more = msgspec.structs.replace(first, expires_ms=first.expires_ms - _MOST_ANSWERS)
+    more = msgspec.structs.replace(first, expires_ms=first.expires_ms - LIMITS.kept_answers)
     with pytest.raises(RefusedError) as refused:
         at.sim.gate.management.approve(approvals.signed(bench, more, "supervisor-1"))
     assert (refused.value.reason, refused.value.where) == (Reason.BUSY, "approval")

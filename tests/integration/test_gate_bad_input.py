@@ -34,9 +34,9 @@ from authguard_r.core.identifiers import RobotId
 from authguard_r.core.state import Snapshot
 from authguard_r.core.token import sign_object
 from authguard_r.keys.signer import folder_signer
-from authguard_r.server.fair_queue import MOST_SHED
 from authguard_r.sim.robot import snapshot_of
 from authguard_r.wire.frames import frame, raw_frame
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import BOUND, PROTOCOL, Attest, ClientRole, Kind
 from fixtures import frame_streams, scenarios
 from fixtures.gate_process import EVERY, Line, RunningGate, Told, shown, until
@@ -595,12 +595,12 @@ def test_proposals_beside_one_that_is_being_decided_are_shed_unread_and_in_order
         got = [item for _ in range(41) if (item := line.next()) is not None]
         told = [(item.kind, item.id) for item in got]
         # a few are shed; then the client is not read until its own is answered, and so on
-        assert told[: MOST_SHED + 1] == [
-            *((Kind.ERROR, n) for n in range(2, MOST_SHED + 2)),
+        assert told[: LIMITS.shed_proposals + 1] == [
+            *((Kind.ERROR, n) for n in range(2, LIMITS.shed_proposals + 2)),
             (Kind.REPLY, 1),
         ]
         assert sorted(number for _, number in told) == list(range(1, 42))
-        assert all(b'"BUSY"' in item.body for item in got[:MOST_SHED])
+        assert all(b'"BUSY"' in item.body for item in got[: LIMITS.shed_proposals])
         line.say(Kind.PROPOSE, {"key": "hasty-2", "plan": "c2NhbigpCg=="}, 50)
         line.told(Kind.REPLY)
     until(lambda: gate.refusals("BUSY", uid("hasty")), "a record of the row")

@@ -37,13 +37,12 @@ from authguard_r.core.quantities import to_ms
 from authguard_r.core.standing import Outcome
 from authguard_r.core.state import Snapshot
 from authguard_r.core.token import sign_object
-from authguard_r.enforcement.leases import WATCH_MS
 from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.keys.signer import folder_signer
-from authguard_r.server.service import LOOK_S
 from authguard_r.sim.sensors import LOOK_MS
 from authguard_r.sim.sight import MARGIN_MM
 from authguard_r.site.source import read_site
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import Begun, ClientRole, Ended, Kind, Stood
 from fixtures import scenarios
 from fixtures.gate_process import Line, RunningGate, Told, order, until
@@ -294,7 +293,7 @@ def test_a_robot_that_leaves_its_regions_stands(yard: Yard) -> None:
     with yard.walk(BACK) as (walk, trail):
         out = trail.first(lambda s: s.x_mm <= MARGIN_MM, "a robot at the edge")
         rest = trail.rest(out.at_ms)
-        within(yard, rest, SNAPSHOT_MS + WATCH_MS)
+        within(yard, rest, SNAPSHOT_MS + LIMITS.watch_ms)
         aborted(yard, walk, "OUTSIDE_REGIONS")
         trail.stays()
     yard.gate.stop_process("robot")
@@ -305,7 +304,7 @@ def test_a_robot_that_does_not_know_where_it_is_stands(yard: Yard) -> None:
     with OwnEstimator(yard.gate) as estimator, yard.walk() as (walk, trail):
         lost_ms = estimator.lose()
         rest = trail.rest(lost_ms)
-        within(yard, rest, yard.age_ms + LOOK_MS + WATCH_MS)
+        within(yard, rest, yard.age_ms + LOOK_MS + LIMITS.watch_ms)
         record = aborted(yard, walk, "STATE_STALE")
         (finding,) = (f for f in record.sealed["findings"] if f["field"] == "state.pose")
         assert int(finding["got"].split()[0]) > yard.age_ms  # and says how old it had become
@@ -316,7 +315,7 @@ def test_a_dead_estimator_stops_the_robot(yard: Yard) -> None:
     with yard.walk() as (walk, trail):
         died_ms = now_ms()
         yard.gate.stop_process("estimator", sign=signal.SIGKILL)
-        within(yard, trail.rest(died_ms), yard.age_ms + WATCH_MS)
+        within(yard, trail.rest(died_ms), yard.age_ms + LIMITS.watch_ms)
         aborted(yard, walk, "STATE_STALE")
         trail.stays()
     yard.gate.start_estimator()
@@ -352,7 +351,7 @@ def given_up(yard: Yard, walk: Walk) -> None:
     assert execution["outcome"] == "unknown"
     assert "CONTROLLER_FAILED" in execution["reasons"]
     told_ms, limit_ms = yard.news("outcome").open["stood_ms"], yard.gate.config.stand_within_ms
-    assert limit_ms < told_ms <= limit_ms + WATCH_MS + PATIENCE_MS
+    assert limit_ms < told_ms <= limit_ms + LIMITS.watch_ms + PATIENCE_MS
     with operator(yard.gate) as person:
         assert person.status()["mission"]["status"] == "suspended"
 
@@ -368,7 +367,7 @@ def test_a_mission_that_is_taken_away_stops_the_robot(yard: Yard, how: str) -> N
             nonce = b64(scenarios.random_bytes(16))
             yard.activate(msgspec.structs.replace(first, **told, nonce=nonce))
             answered_ms = now_ms()
-        within(yard, trail.rest(answered_ms), WATCH_MS)
+        within(yard, trail.rest(answered_ms), LIMITS.watch_ms)
         record = aborted(yard, walk, "REVOKED" if how == "revocation" else "SUPERSEDED")
         orders = [r for r in yard.gate.news() if r.kind == "management" and r.seq < record.seq]
         assert orders[-1].decision == ("revoke" if how == "revocation" else "activate")
@@ -379,7 +378,7 @@ def test_a_mission_that_expires_stops_the_robot(yard: Yard) -> None:
     with yard.walk(window={"for": "4 s"}) as (walk, trail):
         expiry_ms = to_ms(yard._live[-1][0].expiry, where="expiry")
         expires_ms = now_ms() + expiry_ms - time.time_ns() // 1_000_000
-        within(yard, trail.rest(expires_ms), WATCH_MS)
+        within(yard, trail.rest(expires_ms), LIMITS.watch_ms)
         aborted(yard, walk, "EXPIRED")
         trail.stays()
 
@@ -444,7 +443,7 @@ def test_a_stream_whose_client_dies_ends(yard: Yard) -> None:
         until(lambda: planner.sample(ticket, params) and trail.last.speed_mm_s, "a moving stream")
         died_ms = now_ms()
         planner.close()  # as the end of its process would
-        within(yard, trail.rest(died_ms), min(WATCH_MS, SAMPLE_MS))
+        within(yard, trail.rest(died_ms), min(LIMITS.watch_ms, SAMPLE_MS))
         assert yard.news("outcome").decision == "succeeded"
         record = yard.news("stream")
         assert (record.open["last"], record.open["closed"]) == (True, "planner gone")
@@ -500,11 +499,13 @@ def test_the_timer_alone_sees_what_nobody_tells(
         assert (first.kind, last.kind) == ("decision", "outcome")  # and nothing in between
         assert last.open["stood_ms"] <= gate.config.stand_within_ms
         gaps = [1_000 * (b - a) for a, b in pairwise(looks)]
-        assert LOOK_S * 1_000 <= WATCH_MS
-        assert median(gaps) <= WATCH_MS  # one late look is the machine's, every second one is ours
+        assert LIMITS.look_s * 1_000 <= LIMITS.watch_ms
+        assert (
+            median(gaps) <= LIMITS.watch_ms
+        )  # one late look is the machine's, every second one is ours
         (finding,) = last.sealed["findings"]
         if reason == "LEASE_ENDED":  # the gate's own word: found at the first look after its end
-            assert int(finding["got"].split()[0]) <= max(WATCH_MS, *gaps)
+            assert int(finding["got"].split()[0]) <= max(LIMITS.watch_ms, *gaps)
 
 
 def test_the_table_of_bounds_names_each_cause_and_its_test() -> None:
@@ -523,5 +524,9 @@ def test_the_table_of_bounds_names_each_cause_and_its_test() -> None:
     told = {name for names in named for name in names}
     assert told <= there, told - there
     assert own - told <= {"test_the_table_of_bounds_names_each_cause_and_its_test"}, own - told
-    for number in (f"{WATCH_MS} ms", f"{SAMPLE_MS} ms", f"{round(LOOK_S * 1_000)} ms"):
+    for number in (
+        f"{LIMITS.watch_ms} ms",
+        f"{SAMPLE_MS} ms",
+        f"{round(LIMITS.look_s * 1_000)} ms",
+    ):
         assert number in section

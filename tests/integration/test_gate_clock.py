@@ -24,7 +24,7 @@ from authguard_r.core.mission import Mission
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome
 from authguard_r.enforcement.signed_orders import Verb
-from authguard_r.store.transactions import SKEW_MS
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import ClientRole, Kind, Propose
 from fixtures.gate_process import AUTHGUARD, Line, RunningGate, order, shown, until
 from integration.test_gate_watching import FAST, operator, sensors, speed, stands
@@ -202,9 +202,9 @@ def test_nothing_is_decided_or_ordered_until_the_clock_has_caught_up(
     assert active.status["status"] == "active"  # what can be read, is
     until(lambda: "the clock is behind" in alerts(gate), "the alert")
     until(lambda: gate.refusals("CLOCK_BEHIND"), "the refusal's record")
-    clock.is_wrong_by(SKEW_MS // 2 - HOUR_MS)  # later, but not late enough
+    clock.is_wrong_by(LIMITS.skew_ms // 2 - HOUR_MS)  # later, but not late enough
     refused(gate, "CLOCK_BEHIND")
-    clock.is_wrong_by(-SKEW_MS // 2)  # as good as right: nobody has to do anything
+    clock.is_wrong_by(-LIMITS.skew_ms // 2)  # as good as right: nobody has to do anything
     works(gate)
 
 
@@ -254,7 +254,7 @@ def test_a_clock_that_was_ahead_and_is_set_right_is_behind_what_was_committed(
     clock.is_wrong_by(AHEAD_MS)  # as that much later
     works(gate)
     assert carried_out(gate, used) == "EXPIRED"
-    clock.is_wrong_by(AHEAD_MS - SKEW_MS // 2)
+    clock.is_wrong_by(AHEAD_MS - LIMITS.skew_ms // 2)
     works(gate)
     assert active.status["status"] == "active"
     with gate.client(ClientRole.AUDITOR, "reads") as auditor:

@@ -26,8 +26,8 @@ from authguard_r.core.identifiers import Digest
 from authguard_r.core.mission import Mission
 from authguard_r.core.token import sign_object
 from authguard_r.keys.signer import folder_signer
-from authguard_r.server.fair_queue import MOST_SHED
 from authguard_r.wire.frames import Frame, frame
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import ClientRole, Kind, Observe, Order, OrderKind, Propose
 from fixtures import scenarios
 from fixtures.gate_process import Line, RunningGate, Told, shown, until
@@ -222,7 +222,7 @@ def test_between_a_request_and_its_answer_a_flooder_has_a_turn_or_two(
             codes = {json.loads(g.body)["code"] for g in flooder.answers if g.kind is Kind.ERROR}
             assert codes == {"BUSY"}
             assert flooder.served + sum(flooder.rows) == EACH
-            assert max(flooder.rows) <= MOST_SHED
+            assert max(flooder.rows) <= LIMITS.shed_proposals
             assert len(of(news, flooder.name)) == flooder.served
             assert len(of(news, flooder.name, shed=True)) == len(flooder.rows)
         assert shed(gate) - shed_before == sum(sum(f.rows) for f in flooders)

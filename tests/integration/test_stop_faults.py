@@ -22,9 +22,8 @@ import pytest
 
 from authguard_r.client import AsyncGateClient, GateClient, stopping
 from authguard_r.enforcement.signed_orders import Verb
-from authguard_r.estop.supervisor import WITHIN_S
-from authguard_r.server.braking import PATIENCE_MS
 from authguard_r.wire.frames import frame
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import ClientRole, Kind
 from fixtures.gate_process import Line, RunningGate, Told, authguard, environment, until
 from integration.stop_faults import (
@@ -46,7 +45,7 @@ from integration.test_gate_bounds import (  # noqa: F401 - fixtures
 )
 from integration.test_gate_watching import GO
 
-WITHIN_MS = round(WITHIN_S * 1_000)
+WITHIN_MS = round(LIMITS.stop_within_s * 1_000)
 
 
 @pytest.fixture(autouse=True)
@@ -400,7 +399,7 @@ def test_a_gate_without_a_controller_says_so_at_once() -> None:
     with RunningGate() as gate:
         said = at_the_gate(gate, ClientRole.OPERATOR)
         assert (said["stopped"], said["controller"]) == (False, False)
-        assert said["after_ms"] < PATIENCE_MS
+        assert said["after_ms"] < LIMITS.stop_answer_ms
         until(lambda: [r for r in gate.records() if r.kind == "stop"], "its record")
         done = subprocess.run(
             authguard("stop", "--gate", gate.run, measured=False),

@@ -20,10 +20,10 @@ from authguard_r.access.gate_config import Peer as Named
 from authguard_r.client.blocking import GateClient
 from authguard_r.estop.files import EStopFiles
 from authguard_r.estop.run_folder import EPOCH, FIRST_SPOOL, PID, SOCKET, SPOOL, is_served
-from authguard_r.estop.stop_queue import WINDOW
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.frames import frame
 from authguard_r.wire.messages import ClientRole, Kind
+from authguard_r.wire.stop_limits import LIMITS
 from fixtures import estop_fixtures, scenarios
 
 FLOODS, EACH, OWN = 4, 500, 40
@@ -245,7 +245,7 @@ def test_under_a_flood_from_four_processes_every_stop_is_answered_and_counted(
     assert [line["n"] for line in lines] == sorted(line["n"] for line in lines)
     assert len({line["epoch"] for line in lines}) == 1
     assert (
-        len({line["n"] for line in lines}) == WINDOW + 1
+        len({line["n"] for line in lines}) == LIMITS.window + 1
     )  # the rest is folded: one user, one role
 
 
@@ -275,13 +275,13 @@ def test_under_a_flood_from_eight_planners_an_operator_s_stop_is_told_to_a_slow_
         for child in floods:
             assert child.stdout is not None
             assert child.stdout.readline() == b"floods\n"
-        estop_fixtures.until(lambda: counted(lane) > 10 * WINDOW, "the flood")
+        estop_fixtures.until(lambda: counted(lane) > 10 * LIMITS.window, "the flood")
         told = operator.stop("mine")
         assert told["controller"] is True
         gate.say(Kind.SYNC, {}, 5)
-        told_of = [gate.next() for _ in range(WINDOW + 1)]
+        told_of = [gate.next() for _ in range(LIMITS.window + 1)]
         stops = [json.loads(item.body) for item in told_of if item is not None]
-        assert [stop["role"] for stop in stops] == ["planner"] * WINDOW + ["operator"]
+        assert [stop["role"] for stop in stops] == ["planner"] * LIMITS.window + ["operator"]
         assert (stops[-1]["by"], stops[-1]["why"]) == ("anna", "mine")
         answer = gate.next()
         assert answer is not None

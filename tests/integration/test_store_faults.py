@@ -44,7 +44,8 @@ from authguard_r.sim.robot import Faults
 from authguard_r.store import clocks
 from authguard_r.store.memory import MemoryStore
 from authguard_r.store.sqlite import APPLICATION_ID, FORMAT, open_store, read_held, read_rows
-from authguard_r.store.transactions import SKEW_MS, Ledger
+from authguard_r.store.transactions import Ledger
+from authguard_r.wire.gate_limits import LIMITS
 from fixtures import scenarios
 
 T = TypeVar("T")
@@ -755,7 +756,9 @@ def test_a_mission_goes_on_when_the_clock_is_mended(sim: Simulation) -> None:
     require_goes_on(sim)
 
 
-@pytest.mark.parametrize(("behind_ms", "is_refused"), [(SKEW_MS, False), (SKEW_MS + 1, True)])
+@pytest.mark.parametrize(
+    ("behind_ms", "is_refused"), [(LIMITS.skew_ms, False), (LIMITS.skew_ms + 1, True)]
+)
 def test_a_clock_may_be_behind_by_the_skew_and_no_more(
     sim: Simulation, behind_ms: int, is_refused: bool
 ) -> None:

@@ -15,8 +15,9 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import Bundle, RuleBasedStateMachine, consumes, invariant, rule
 
-from authguard_r.server.fair_queue import MOST_SHED, MOST_WAITING, FairQueue, ServedClient
+from authguard_r.server.fair_queue import FairQueue, ServedClient
 from authguard_r.wire.frames import Frame, raw_frame
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import BOUND, ClientRole, Kind
 from fixtures.gate_fixtures import Door, Noted, enter, settle
 
@@ -73,8 +74,8 @@ class Guest:
     @property
     def paused(self) -> bool:
         """True for a client that is not read: enough of it waits, or enough was shed."""
-        much = self.proposed and self.shed >= MOST_SHED
-        return much or len(self.waiting) >= MOST_WAITING
+        much = self.proposed and self.shed >= LIMITS.shed_proposals
+        return much or len(self.waiting) >= LIMITS.waiting_requests
 
     def ask(self, kind: Kind) -> bytes:
         """Return a request's bytes; what has to become of it is noted when it is read."""

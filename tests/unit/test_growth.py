@@ -10,7 +10,7 @@ import pytest
 
 from authguard_r.anchoring import growth
 from authguard_r.anchoring.checkpoints import Checkpoints
-from authguard_r.anchoring.growth import COUNTED, KIND, PAGE, Growth, GrowthCount, mission_of
+from authguard_r.anchoring.growth import COUNTED, KIND, Growth, GrowthCount, mission_of
 from authguard_r.audit.record import NONE, Entry, append
 from authguard_r.core.errors import StoreError
 from authguard_r.core.ports import Store, Turn
@@ -18,6 +18,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.keys.signer import folder_signer
 from authguard_r.operations.simulation import Simulation
 from authguard_r.store.memory import MemoryStore
+from authguard_r.wire.gate_limits import LIMITS
 from fixtures import scenarios
 
 
@@ -39,26 +40,29 @@ def read(store: Store) -> dict[str, Growth]:
 
 def test_each_record_is_counted_once_and_for_its_own_mission() -> None:
     store = MemoryStore()
-    for mid, count in (("a", 3), ("b", 5), (NONE, 2), ("a", PAGE)):
+    for mid, count in (("a", 3), ("b", 5), (NONE, 2), ("a", LIMITS.growth_page)):
         wrote(store, mid, count)
         store.run(growth.count)
     for _ in range(3):
         store.run(growth.count)
     every = read(store)
     assert every.keys() == {"a", "b", NONE}
-    assert every["a"].records == PAGE + 3
+    assert every["a"].records == LIMITS.growth_page + 3
     for mid, found in every.items():
         told = store.read(lambda turn, of=mid: growth.counted(turn, of))
-        assert told == GrowthCount(growth=found, upto=PAGE + 10)
+        assert told == GrowthCount(growth=found, upto=LIMITS.growth_page + 10)
 
 
 def test_what_came_since_is_counted_by_whoever_asks_a_page_at_most() -> None:
     store = MemoryStore()
     wrote(store, "a", 4)
     store.run(growth.count)
-    wrote(store, "a", PAGE + 1)
+    wrote(store, "a", LIMITS.growth_page + 1)
     told = store.read(lambda turn: growth.counted(turn, "a"))
-    assert (told.growth.records, told.upto) == (PAGE + 4, PAGE + 4)
+    assert (told.growth.records, told.upto) == (
+        LIMITS.growth_page + 4,
+        LIMITS.growth_page + 4,
+    )
     assert store.read(lambda turn: growth.counted(turn, "b")).growth == Growth()
 
 

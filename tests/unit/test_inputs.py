@@ -14,7 +14,7 @@ from authguard_r.core.errors import StoreError
 from authguard_r.core.identifiers import MAX_INTEGER
 from authguard_r.core.token import sign_object
 from authguard_r.sim.robot import snapshot_of
-from authguard_r.store.transactions import SKEW_MS
+from authguard_r.wire.gate_limits import LIMITS
 from fixtures import scenarios
 
 NOW = scenarios.START_MS
@@ -53,7 +53,7 @@ def test_an_estimator_that_claims_the_largest_epoch_shuts_no_later_one_out(sim: 
     assert sim.robot.trace == []
 
 
-@pytest.mark.parametrize(("ahead", "taken"), [(SKEW_MS, True), (SKEW_MS + 1, False)])
+@pytest.mark.parametrize(("ahead", "taken"), [(LIMITS.skew_ms, True), (LIMITS.skew_ms + 1, False)])
 def test_an_epoch_may_lead_trusted_time_by_the_clocks_skew_and_no_more(
     sim: Any, ahead: int, *, taken: bool
 ) -> None:
@@ -61,11 +61,17 @@ def test_an_epoch_may_lead_trusted_time_by_the_clocks_skew_and_no_more(
 
 
 def test_who_leads_as_far_as_may_be_shuts_out_nobody_who_starts_after_that(sim: Any) -> None:
-    assert show(sim, NOW + SKEW_MS, MAX_INTEGER) == (NOW + SKEW_MS, MAX_INTEGER)
-    assert show(sim, NOW) == (NOW + SKEW_MS, MAX_INTEGER)  # it ran already: it has to start anew
+    assert show(sim, NOW + LIMITS.skew_ms, MAX_INTEGER) == (
+        NOW + LIMITS.skew_ms,
+        MAX_INTEGER,
+    )
+    assert show(sim, NOW) == (
+        NOW + LIMITS.skew_ms,
+        MAX_INTEGER,
+    )  # it ran already: it has to start anew
     assert refused(sim) == [("STATE_REPLAYED",)]
-    sim.robot.pause(SKEW_MS + 1)
-    assert show(sim, NOW + SKEW_MS + 1) == (NOW + SKEW_MS + 1, 1)
+    sim.robot.pause(LIMITS.skew_ms + 1)
+    assert show(sim, NOW + LIMITS.skew_ms + 1) == (NOW + LIMITS.skew_ms + 1, 1)
 
 
 def test_a_simulation_that_begins_again_at_the_same_time_is_a_later_start(tmp_path: Path) -> None:

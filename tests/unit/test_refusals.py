@@ -30,17 +30,11 @@ from authguard_r.core.errors import ClockError, RefusedError, StoreError
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.reasons import Reason
 from authguard_r.store.memory import MemoryStore
-from authguard_r.store.refusals import (
-    MOST_ENDED,
-    MOST_OF_CLIENT,
-    MOST_WAITING,
-    MOST_WINDOWS,
-    RefusalPolicy,
-    Refusals,
-)
+from authguard_r.store.refusals import RefusalPolicy, Refusals
 from authguard_r.store.reserve import Reserve
 from authguard_r.store.sqlite import SqliteStore, open_store, read_held, read_rows
-from authguard_r.store.transactions import SKEW_MS, ClockWatermark, Ledger, Transaction
+from authguard_r.store.transactions import ClockWatermark, Ledger, Transaction
+from authguard_r.wire.gate_limits import LIMITS
 
 RID = RobotId("courier-1")
 START_MS = 1_700_000_000_000
@@ -226,7 +220,7 @@ def test_the_time_of_an_act_that_wrote_nothing_does_not_come_again(
     ledger = make()
     clock.pause(60_000)
     ledger.run(lambda act: act.now)
-    clock.pause(-SKEW_MS - 1)
+    clock.pause(-LIMITS.skew_ms - 1)
     with pytest.raises(ClockError):
         ledger.now()
 
@@ -510,13 +504,15 @@ def test_what_differs_in_client_reason_or_place_is_no_repeat(
 
 def test_a_clean_stop_writes_what_waits_and_every_count(make: Make, path: Path) -> None:
     ledger = make()
-    for client in range(MOST_ENDED + 10):
+    for client in range(LIMITS.ended_windows + 10):
         for n in range(3):
             refuse(ledger, n, (f"client-{client}", "r", "f"))
     ledger.close()
     kept = [plain(row) for row in read_rows(path)][1:]
-    assert [record["repeats"] for record in kept if "repeats" in record] == [2] * (MOST_ENDED + 10)
-    assert len(kept) == 2 * (MOST_ENDED + 10)
+    assert [record["repeats"] for record in kept if "repeats" in record] == [2] * (
+        LIMITS.ended_windows + 10
+    )
+    assert len(kept) == 2 * (LIMITS.ended_windows + 10)
     assert verify_rows(read_rows(path), terminal=None).whole
 
 
@@ -570,7 +566,7 @@ def test_a_client_that_is_refused_in_ever_new_ways_takes_nobody_elses_place(
     refuse(ledger, "quiet", ("quiet", "r", "f"))
     refuse(ledger, "star", ("flooder", "s", "f"))
     ledger.flush()
-    assert notes(ledger) == [*range(MOST_OF_CLIENT), "quiet"]
+    assert notes(ledger) == [*range(LIMITS.windows_of_client), "quiet"]
     ledger.close()
 
 
@@ -581,19 +577,19 @@ def test_what_is_crowded_out_is_counted_in_its_clients_own_window(make: Make, pa
     ledger.close()
     crowd = plain(list(read_rows(path))[-1])
     assert (crowd["client"], crowd["cause"]) == ("flooder", "crowded")
-    assert crowd["repeats"] == 1_000 - MOST_OF_CLIENT
+    assert crowd["repeats"] == 1_000 - LIMITS.windows_of_client
     assert crowd["reasons"] == ["r-0", "r-1"]
     assert crowd["sealed"]["where"] == "*"
 
 
 def test_windows_are_bounded_whoever_floods(make: Make) -> None:
     made = refusals()
-    many = 3 * MOST_WINDOWS
+    many = 3 * LIMITS.windows
     for n in range(many):
         made.take(refusal(n, n), (f"client-{n}", "r", "f"))
-    assert len(made._windows) == MOST_WINDOWS + 1
+    assert len(made._windows) == LIMITS.windows + 1
     everybody = made._windows["*", "*", "*"]
-    assert everybody.repeats == many - MOST_WINDOWS
+    assert everybody.repeats == many - LIMITS.windows
     made.take(refusal(0, 0), ("client-0", "r", "f"))
     assert made._windows["client-0", "r", "f"].repeats == 1
     assert made.end_windows(0, everything=True)
@@ -603,7 +599,7 @@ def test_windows_are_bounded_whoever_floods(make: Make) -> None:
 
 def test_one_user_with_many_names_takes_no_other_users_place(make: Make) -> None:
     made = refusals()
-    for n in range(MOST_OF_CLIENT + 1):  # one name of his is crowded in its own right
+    for n in range(LIMITS.windows_of_client + 1):  # one name of his is crowded in its own right
         made.take(refusal(n, n), ("u7.first", "r", f"place-{n}"))
     many = 3 * MOST_OF_USER
     for n in range(many):
@@ -612,7 +608,7 @@ def test_one_user_with_many_names_takes_no_other_users_place(make: Make) -> None
     assert len(theirs) == MOST_OF_USER + 1  # the one more counts what was crowded out
     crowd = made._windows["u7", "*", "*"]
     assert crowd.cause == "crowded"
-    assert crowd.repeats == many + 1 + MOST_OF_CLIENT - MOST_OF_USER
+    assert crowd.repeats == many + 1 + LIMITS.windows_of_client - MOST_OF_USER
     made.take(refusal(0, 0), ("u7.first", "r", "one more"))
     assert made._windows["u7.first", "*", "*"].repeats == 2  # its own, as long as there is one
     waiting = len(made._waiting)
@@ -628,7 +624,7 @@ def test_one_user_with_many_names_takes_no_other_users_place(make: Make) -> None
 def test_no_number_of_users_takes_away_the_share_of_another(users: int) -> None:
     policy = msgspec.structs.replace(GATE, users=users)
     made = Refusals(policy, restore=lambda: True, mono_ms=lambda: 0)
-    for user, n in itertools.product(range(users), range(2 * MOST_WINDOWS)):
+    for user, n in itertools.product(range(users), range(2 * LIMITS.windows)):
         made.take(refusal(n, n), (f"u{user}.w{n}", "r", "f"))
     made.take_waiting()
     for n in range(policy.most_of_user - users):
@@ -651,11 +647,11 @@ def test_what_one_user_crowds_out_is_one_record_of_that_user(make: Make, path: P
 
 def test_a_flush_ends_a_bounded_number_of_windows(make: Make, clock: SetClock) -> None:
     ledger = make()
-    for client, n in itertools.product(range(MOST_ENDED + 10), range(2)):
+    for client, n in itertools.product(range(LIMITS.ended_windows + 10), range(2)):
         refuse(ledger, n, (f"client-{client}", "r", "f"))
     ledger.flush()
     clock.pause(GATE.fold_ms)
-    for expected in (MOST_ENDED, MOST_ENDED + 10):
+    for expected in (LIMITS.ended_windows, LIMITS.ended_windows + 10):
         ledger.flush()
         assert decisions(ledger).count("counted") == expected
 
@@ -663,13 +659,13 @@ def test_a_flush_ends_a_bounded_number_of_windows(make: Make, clock: SetClock) -
 @pytest.mark.parametrize("fold_ms", [0, 60_000])
 def test_more_than_may_wait_are_counted_even_when_they_are_the_first(fold_ms: int) -> None:
     made = refusals(RefusalPolicy(delay_ms=100, fold_ms=fold_ms))
-    for n in range(MOST_WAITING):
+    for n in range(LIMITS.waiting_refusals):
         client = f"client-{n // 100}"
         made.take(refusal(n, n), (client, "r", f"f-{n}"))
     made._windows.clear()
     for n in range(5):
         made.take(refusal(n, n), ("late", "r", f"f-{n}"))
-    assert len(made._waiting) == MOST_WAITING
+    assert len(made._waiting) == LIMITS.waiting_refusals
     (window,) = made._windows.values()
     assert (window.repeats, window.cause) == (5, "crowded")
 

@@ -10,7 +10,7 @@ import pytest
 
 from authguard_r.anchoring.anchor import AnchorNotice
 from authguard_r.anchoring.checkpoints import CHECKPOINT, TREE, WITNESSED, Checkpoints
-from authguard_r.anchoring.rotation import AGAIN_MS, BLOCK, STUCK, Rotation, RotationPolicy
+from authguard_r.anchoring.rotation import STUCK, Rotation, RotationPolicy
 from authguard_r.audit.checkpoint import Checkpoint
 from authguard_r.audit.note import Note, read_note
 from authguard_r.audit.tree import verify_consistency
@@ -23,6 +23,7 @@ from authguard_r.operations.simulation import Simulation
 from authguard_r.store.folder import Folder
 from authguard_r.store.segments import find
 from authguard_r.store.sqlite import SqliteStore, read_rows
+from authguard_r.wire.gate_limits import LIMITS
 from fixtures import scenarios
 from fixtures.segmented_stores import fill
 from fixtures.small_witness import log_keys
@@ -93,14 +94,17 @@ def test_the_oldest_move_and_the_newest_stay(log: Rotated) -> None:
     log.grow(LEAST)
     before = log.store.read(lambda turn: turn.rows(0, LEAST))
     assert log.turn() == []
-    assert (log.ends, log.in_store()) == ([3 * BLOCK], LEAST - 3 * BLOCK)
+    assert (log.ends, log.in_store()) == (
+        [3 * LIMITS.rotation_block],
+        LEAST - 3 * LIMITS.rotation_block,
+    )
     assert log.store.read(lambda turn: turn.rows(0, LEAST)) == before
 
 
 def test_a_long_log_moves_in_segments_of_that_size(log: Rotated) -> None:
     log.grow(3 * LEAST + 100)
     log.turn()
-    assert log.ends == [LEAST, 2 * LEAST, 3 * LEAST - BLOCK]
+    assert log.ends == [LEAST, 2 * LEAST, 3 * LEAST - LIMITS.rotation_block]
     log.sim.gate.close()
     assert verify_rows(read_rows(log.path)).whole
 
@@ -126,7 +130,7 @@ def test_what_no_checkpoint_covers_stays(log: Rotated) -> None:
     log.grow(400)
     fill(log.store, LEAST)
     log.turn()
-    assert log.ends == [BLOCK]
+    assert log.ends == [LIMITS.rotation_block]
 
 
 def test_without_any_checkpoint_nothing_moves(log: Rotated) -> None:
@@ -136,7 +140,7 @@ def test_without_any_checkpoint_nothing_moves(log: Rotated) -> None:
 
 
 def test_with_witnesses_only_what_they_cosigned_moves(log: Rotated) -> None:
-    log.grow(2 * BLOCK)
+    log.grow(2 * LIMITS.rotation_block)
     witnessed = log.checkpoints.held()
     assert witnessed is not None
     log.grow(LEAST)
@@ -146,7 +150,7 @@ def test_with_witnesses_only_what_they_cosigned_moves(log: Rotated) -> None:
     held = witnessed.encode()
     log.store.run(lambda turn: turn.put(CHECKPOINT, WITNESSED, held))
     log.turn(rotation)
-    assert log.ends == [2 * BLOCK]
+    assert log.ends == [2 * LIMITS.rotation_block]
 
 
 def test_a_gate_that_never_rotates_ends_what_another_began(log: Rotated) -> None:
@@ -156,17 +160,17 @@ def test_a_gate_that_never_rotates_ends_what_another_began(log: Rotated) -> None
     assert log.in_store() == LEAST
     never = log.rotating(0)
     log.turn(never)
-    assert log.in_store() == LEAST - 3 * BLOCK
+    assert log.in_store() == LEAST - 3 * LIMITS.rotation_block
     log.grow(3 * LEAST)
     log.turn(never)
-    assert log.ends == [3 * BLOCK]
+    assert log.ends == [3 * LIMITS.rotation_block]
 
 
 def test_every_proof_from_a_size_of_before_still_comes(log: Rotated) -> None:
     log.grow(2 * LEAST)
     proofs = {old: log.proof(old) for old in (1, 255, 256, 257, 700, 1_024, 1_793, 2_048)}
     log.turn()
-    assert log.ends == [LEAST, 2 * LEAST - BLOCK]
+    assert log.ends == [LEAST, 2 * LEAST - LIMITS.rotation_block]
     assert {old: log.proof(old) for old in proofs} == proofs
     assert log.checkpoints.fits()
 
@@ -182,12 +186,12 @@ def test_what_goes_wrong_is_told_once_tried_again_and_over_when_it_works(
             (STUCK, str(Reason.STORE_FULL), False)
         ]
         assert log.turn() == []
-        log.sim.robot.pause(AGAIN_MS)
+        log.sim.robot.pause(LIMITS.rotation_again_ms)
         assert log.turn() == []  # it was told of
     assert log.ends == []
-    log.sim.robot.pause(AGAIN_MS)
+    log.sim.robot.pause(LIMITS.rotation_again_ms)
     assert log.turn() == [AnchorNotice(STUCK, {}, over=True)]
-    assert log.ends == [3 * BLOCK]
+    assert log.ends == [3 * LIMITS.rotation_block]
 
 
 def test_it_works_again_once_nothing_is_left_to_do(
@@ -201,9 +205,9 @@ def test_it_works_again_once_nothing_is_left_to_do(
         patch.setattr(log.store, "_closed", True)
         (told,) = log.rotation.tick()
         assert (told.what, told.over) == (STUCK, False)
-    log.sim.robot.pause(AGAIN_MS)
+    log.sim.robot.pause(LIMITS.rotation_again_ms)
     assert log.turn() == [AnchorNotice(STUCK, {}, over=True)]
-    assert log.in_store() == LEAST - 3 * BLOCK
+    assert log.in_store() == LEAST - 3 * LIMITS.rotation_block
 
 
 def test_a_disk_that_fills_on_the_way_has_its_place_back(
@@ -236,7 +240,7 @@ def test_a_part_that_cannot_be_removed_is_left_to_the_next_start(
     again = Rotated(log.path)
     assert list(log.path.with_name("robot.db.segments").iterdir()) == []
     again.turn()
-    assert again.ends == [3 * BLOCK]
+    assert again.ends == [3 * LIMITS.rotation_block]
     again.sim.gate.close()
 
 

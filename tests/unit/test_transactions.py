@@ -10,7 +10,8 @@ import msgspec
 
 from authguard_r.core.errors import ClockError
 from authguard_r.store.memory import MemoryStore
-from authguard_r.store.transactions import SKEW_MS, Ledger, Transaction
+from authguard_r.store.transactions import Ledger, Transaction
+from authguard_r.wire.gate_limits import LIMITS
 from fixtures import scenarios
 from fixtures.cases import case
 
@@ -77,8 +78,8 @@ def test_a_clock_set_back_by_five_seconds_refuses_for_less_and_never_again() -> 
     bench.clock.wrong_ms = -5_000
     refused = bench.refused(10 * MINUTE_MS)
     # until it has caught up with what was committed, less the skew
-    assert refused == list(range(TICK_MS, 5_000 - SKEW_MS, TICK_MS))
-    assert bench.times[-1] <= bench.clock.wall_ms() + SKEW_MS  # nor was that time added
+    assert refused == list(range(TICK_MS, 5_000 - LIMITS.skew_ms, TICK_MS))
+    assert bench.times[-1] <= bench.clock.wall_ms() + LIMITS.skew_ms  # nor was that time added
 
 
 def test_a_clock_set_back_while_nobody_asks_heals_as_soon() -> None:
@@ -88,13 +89,13 @@ def test_a_clock_set_back_while_nobody_asks_heals_as_soon() -> None:
     bench.clock.pause(MINUTE_MS)  # the other clock has counted it, and this one has caught up
     refused = bench.refused(10 * MINUTE_MS)
     assert all(at <= 5_000 for at in refused)
-    assert bench.times[-1] <= bench.clock.wall_ms() + SKEW_MS
+    assert bench.times[-1] <= bench.clock.wall_ms() + LIMITS.skew_ms
 
 
 def test_a_step_within_the_skew_refuses_nothing_and_time_goes_on() -> None:
     bench = Bench()
     assert bench.commit()
-    bench.clock.wrong_ms = -SKEW_MS
+    bench.clock.wrong_ms = -LIMITS.skew_ms
     assert bench.refused(MINUTE_MS) == []
     assert bench.times[-1] == scenarios.START_MS + bench.clock.ms
 
@@ -116,7 +117,7 @@ def test_a_restart_does_not_forget_what_was_committed() -> None:
     bench.ledger = bench.start()
     refused = bench.refused(MINUTE_MS)
     assert refused
-    assert max(refused) < 5_000 - SKEW_MS
+    assert max(refused) < 5_000 - LIMITS.skew_ms
 
 
 def test_time_never_runs_backwards_however_the_wall_clock_jumps() -> None:

@@ -28,8 +28,6 @@ from authguard_r.anchoring.evidence import Discrepancy
 from authguard_r.anchoring.places import WitnessPlace, require_place
 from authguard_r.anchoring.quorum import WitnessPolicy
 from authguard_r.anchoring.witnesses import (
-    MAX_ANSWER,
-    MOST_AWAY,
     NOTHING,
     Courier,
     WitnessReply,
@@ -49,6 +47,7 @@ from authguard_r.enforcement.signed_orders import Command, StoreClaim, Verb
 from authguard_r.keys.notes import cosign, verify_note
 from authguard_r.operations.simulation import Simulation
 from authguard_r.store.memory import MemoryStore
+from authguard_r.wire.gate_limits import LIMITS
 from fixtures import scenarios
 from fixtures.cases import case
 from fixtures.gate_process import PATIENCE_S, until
@@ -616,9 +615,9 @@ def answered(url: str) -> WitnessReply:
 
 def test_what_is_too_long_or_no_http_is_nothing(one: SmallWitness) -> None:
     url = one.place.url
-    one.instead = [(200, "text/plain", bytes(MAX_ANSWER + 1))]
+    one.instead = [(200, "text/plain", bytes(LIMITS.witness_answer_bytes + 1))]
     assert answered(url) == NOTHING
-    one.instead = [(200, "text/plain", bytes(MAX_ANSWER))]
+    one.instead = [(200, "text/plain", bytes(LIMITS.witness_answer_bytes))]
     assert answered(url).status == 200
     assert answered(url.replace("http:", "https:")) == NOTHING  # it speaks no TLS
     one.stop()
@@ -774,8 +773,8 @@ def test_a_slow_witness_asked_again_and_again_piles_up_neither_threads_nor_socke
         for _ in range(20):
             courier.send(b"body")
             assert until(courier.answer, "the end") == NOTHING
-            assert len(carrying() - others) <= MOST_AWAY
-            assert len(sockets() - held) <= MOST_AWAY
+            assert len(carrying() - others) <= LIMITS.witness_exchanges
+            assert len(sockets() - held) <= LIMITS.witness_exchanges
         until(lambda: not carrying() - others, "the end of every thread")
         assert not sockets() - held
 
@@ -795,7 +794,7 @@ def test_a_name_that_is_looked_up_without_an_end_takes_two_threads_and_no_more(
     for _ in range(20):
         courier.send(b"body")
         assert until(courier.answer, "the end") == NOTHING
-        assert len(carrying() - others) <= MOST_AWAY
+        assert len(carrying() - others) <= LIMITS.witness_exchanges
     found.set()
     until(lambda: not carrying() - others, "the end of every thread")
 

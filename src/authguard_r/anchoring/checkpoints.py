@@ -24,6 +24,7 @@ from authguard_r.core.principals import Signer
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.notes import sign_text
 from authguard_r.store.transactions import Ledger
+from authguard_r.wire.gate_limits import LIMITS
 
 #: Where the newest note lies, and the newest that enough witnesses have cosigned.
 CHECKPOINT, NEWEST, WITNESSED = "checkpoint", "newest", "witnessed"
@@ -32,7 +33,6 @@ TREE, FRONTIER = "tree", "frontier"
 #: Roots of complete subtrees of these levels are held; lower ones come from the links.
 LEVELS = (8, 16, 24, 32)
 #: Records that one turn takes into the tree.
-PAGE = 1_024
 _STEP = LEVELS[0]
 _BLOCK = 1 << _STEP
 
@@ -238,7 +238,7 @@ class Checkpoints:
         """Take a page into the tree; return the note when that was the last."""
         growth.count(turn)
         before, (size, head) = _frontier(turn), turn.head()
-        frontier = _grown(turn, before, min(size, before.size + PAGE))
+        frontier = _grown(turn, before, min(size, before.size + LIMITS.tree_page))
         if frontier.size > before.size:
             _put_frontier(turn, frontier)
         if frontier.size < size:

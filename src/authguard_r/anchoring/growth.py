@@ -18,11 +18,10 @@ from authguard_r.core.errors import MalformedError, StoreError
 from authguard_r.core.identifiers import Count
 from authguard_r.core.ports import Turn
 from authguard_r.core.reasons import Reason
+from authguard_r.wire.gate_limits import LIMITS
 
 #: Where the counts lie: one for each mission, and how many records were counted.
 KIND, COUNTED = "growth", " counted"
-#: Records that one turn counts.
-PAGE = 1_024
 #: In front of the mission's name in a record; a bare quotation mark begins or ends a text, so no
 #: words of anybody's spell this, and nothing before the link has a field of that name.
 _MID, _LINK = b'"mid":"', b'"link":{'
@@ -58,7 +57,7 @@ def count(turn: Turn) -> None:
         StoreError: what is held is no count.
     """
     upto = _upto(turn)
-    rows = turn.rows(upto, PAGE)
+    rows = turn.rows(upto, LIMITS.growth_page)
     if not rows:
         return
     for mid, more in _of(rows).items():
@@ -73,7 +72,7 @@ def counted(turn: Turn, mid: str) -> GrowthCount:
         StoreError: what is held is no count.
     """
     upto = _upto(turn)
-    rows = turn.rows(upto, PAGE)
+    rows = turn.rows(upto, LIMITS.growth_page)
     growth = _sum(_held(turn, mid), _of(rows).get(mid, Growth()))
     return GrowthCount(growth=growth, upto=upto + len(rows))
 

@@ -30,12 +30,8 @@ from authguard_r.audit.note import Note
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.core.identifiers import Count
 from authguard_r.core.reasons import Reason
+from authguard_r.wire.gate_limits import LIMITS
 
-#: After a failure a witness is asked again after this, and after twice as long each further time.
-RETRY_MS, MOST_RETRY_MS = 1_000, 60_000
-#: Sizes that a witness may tell in a row before it is taken for one that does not answer.
-_TOLD = 3
-_LOOK_S = 0.01
 _OK, _CONFLICT, _UNPROCESSABLE = 200, 409, 422
 
 
@@ -83,7 +79,7 @@ class _Witness:
         self.old = 0
         self._told = 0
         self._again_ms = 0
-        self._pause_ms = RETRY_MS
+        self._pause_ms = LIMITS.witness_retry_ms
 
     def wants(self, text: str, now_ms: int) -> bool:
         """Return whether it is to be asked about this checkpoint now."""
@@ -97,7 +93,7 @@ class _Witness:
     def told(self) -> bool:
         """Count a size that it told; False when these were too many in a row."""
         self._told += 1
-        return self._told <= _TOLD
+        return self._told <= LIMITS.witness_sizes
 
     def settled(self, stand: Stand) -> None:
         """Note how an exchange ended."""
@@ -107,13 +103,13 @@ class _Witness:
         """Leave it alone for a while, each time for longer."""
         self.settled(stand)
         self._again_ms = now_ms + self._pause_ms
-        self._pause_ms = min(2 * self._pause_ms, MOST_RETRY_MS)
+        self._pause_ms = min(2 * self._pause_ms, LIMITS.witness_most_retry_ms)
 
     def agreed(self, note: Note, size: int) -> None:
         """Note that it cosigned."""
         self.settled(Stand.COSIGNED)
         self.size, self.done, self.confirmed, self.muted = size, note.text, True, False
-        self._again_ms, self._pause_ms = 0, RETRY_MS
+        self._again_ms, self._pause_ms = 0, LIMITS.witness_retry_ms
 
     def anew(self) -> None:
         """Ask it from the beginning, and raise no doubt that there is already."""
@@ -200,7 +196,7 @@ class Quorum:
         end = time.monotonic() + within_s
         doubt = self.turn()
         while self._away() and time.monotonic() < end:
-            time.sleep(_LOOK_S)
+            time.sleep(LIMITS.witness_look_s)
             found = self.turn() if doubt is None else self._taken()  # all who doubt are heard
             doubt = doubt or found
         return doubt

@@ -33,15 +33,10 @@ from authguard_r.store.cells import Cells
 from authguard_r.store.segment_mover import Mover
 from authguard_r.store.sqlite import SqliteStore
 from authguard_r.store.transactions import Ledger
+from authguard_r.wire.gate_limits import LIMITS
 
 #: The alert: what is old stays in the store, which goes on growing.
 STUCK = "the log cannot be rotated"
-#: Records that a tick moves: a complete subtree of the tree.
-BLOCK = 256
-#: So many of the newest always stay in the store, or a quarter of a segment where that is less.
-KEPT = 4_096
-#: After something went wrong it is tried again so long after, in milliseconds.
-AGAIN_MS = 60_000
 
 
 class RotationPolicy(Struct, frozen=True, kw_only=True):
@@ -105,14 +100,14 @@ class Rotation:
         """Do what is next; True when a segment was sealed, or nothing is left to do."""
         mover = self._mover
         if mover.clears:
-            mover.clear(BLOCK // 2)
+            mover.clear(LIMITS.rotation_block // 2)
         elif not mover.copies:
             end = self._ledger.peek(self._due)
             if end <= mover.mark:
                 return True
             self._end = end
             mover.begin(end)
-        elif mover.copy(BLOCK, _require_tree):
+        elif mover.copy(LIMITS.rotation_block, _require_tree):
             note, head = self._ledger.peek(self._sealed)
             mover.seal(note.encode(), head=head)
             return True
@@ -126,8 +121,8 @@ class Rotation:
             return mark
         covered = [size_of(turn, NEWEST)]
         covered += [size_of(turn, WITNESSED)] if self._policy.witnessed else []
-        end = min(*covered, size - min(KEPT, most // 4), mark + most)
-        return max(mark, end - end % BLOCK)
+        end = min(*covered, size - min(LIMITS.rotation_kept, most // 4), mark + most)
+        return max(mark, end - end % LIMITS.rotation_block)
 
     def _sealed(self, turn: Turn) -> tuple[Note, bytes]:
         """Return the checkpoint of the segment's last record, signed, and that record's link."""
@@ -138,7 +133,7 @@ class Rotation:
 
     def _give_up(self, error: AuthGuardError) -> tuple[AnchorNotice, ...]:
         """Free what was written so far, and try again later; people are told once."""
-        self._again_ms = self._ledger.mono_ms() + AGAIN_MS
+        self._again_ms = self._ledger.mono_ms() + LIMITS.rotation_again_ms
         with suppress(StoreError):  # else the next start removes what nobody reads
             self._mover.abandon()
         if self._stuck:
@@ -154,6 +149,8 @@ def _require_tree(turn: Turn, rows: tuple[Cells, ...]) -> None:
         StoreError: it is not the block that was taken into the tree.
     """
     first = rows[0][0]
-    if block_root([link for *_, link in rows]) != StoredNodes(turn).node(8, first // BLOCK):
+    if block_root([link for *_, link in rows]) != StoredNodes(turn).node(
+        8, first // LIMITS.rotation_block
+    ):
         text = f"records {first} to {rows[-1][0]} are not those of the tree"
         raise StoreError(text, where="store.audit", reason=Reason.STORE_CORRUPT)

@@ -24,17 +24,11 @@ from msgspec import Struct
 from authguard_r.audit.note import Note, NoteKey, encode64, read_signatures
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.keys.notes import Attested, verify_note
+from authguard_r.wire.gate_limits import LIMITS
 
 if TYPE_CHECKING:
     from _typeshed import WriteableBuffer
 
-#: Longest answer, in bytes: an ML-DSA-44 cosignature is 3 KiB.
-MAX_ANSWER = 1 << 16
-#: An exchange takes no longer, in seconds, whatever comes meanwhile.
-LIMIT_S = 5.0
-#: Exchanges of one witness that have not ended, given up ones too: only looking up a name can take
-#: longer than `LIMIT_S`.
-MOST_AWAY = 2
 #: The content type of the size in a 409.
 SIZE_TYPE = "text/x.tlog.size"
 _PATH = "/add-checkpoint"
@@ -46,7 +40,7 @@ class WitnessReply(Struct, frozen=True):
     Args:
         status: HTTP's; 0 when nothing did that could be read.
         kind: the content type.
-        body: at most `MAX_ANSWER` bytes.
+        body: at most `LIMITS.witness_answer_bytes` bytes.
     """
 
     status: int
@@ -105,7 +99,7 @@ class Courier:
         limit_s: an exchange takes no longer.
     """
 
-    def __init__(self, url: str, *, limit_s: float = LIMIT_S) -> None:
+    def __init__(self, url: str, *, limit_s: float = LIMITS.witness_s) -> None:
         self._url = urlsplit(url)
         self._limit_s = limit_s
         self._until = 0.0
@@ -128,7 +122,7 @@ class Courier:
         self._until = time.monotonic() + self._limit_s
         self._box = SimpleQueue()
         self._threads = [thread for thread in self._threads if thread.is_alive()]
-        if len(self._threads) >= MOST_AWAY:
+        if len(self._threads) >= LIMITS.witness_exchanges:
             self._box.put(NOTHING)
             return
         given = (self._url, body, self._box, self._until)
@@ -179,8 +173,8 @@ def exchange(url: SplitResult, body: bytes, until: float) -> WitnessReply:
             sock.sendall("\r\n".join(head).encode("ascii") + b"\r\n\r\n" + body)
             answer = HTTPResponse(_Read(sock, until), method="POST")  # type: ignore[arg-type]
             answer.begin()
-            data = answer.read(MAX_ANSWER + 1)
-            if len(data) > MAX_ANSWER:
+            data = answer.read(LIMITS.witness_answer_bytes + 1)
+            if len(data) > LIMITS.witness_answer_bytes:
                 return NOTHING
             return WitnessReply(answer.status, answer.getheader("Content-Type", ""), data)
     except (OSError, HTTPException, ValueError):

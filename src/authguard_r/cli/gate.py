@@ -8,7 +8,6 @@ import sys
 from pathlib import Path
 from typing import Annotated, NoReturn
 
-import msgspec
 import typer
 
 from authguard_r.access.files import trusted_site
@@ -26,7 +25,7 @@ from authguard_r.keys.signer import read_signer
 from authguard_r.keys.trust import read_trust
 from authguard_r.normalize.interface import shipped_interface
 from authguard_r.operations.checkup import GateSetup, require_safe
-from authguard_r.server.files import GateFiles, open_parts, start_time
+from authguard_r.server.files import GateFiles, ask, open_parts, start_time
 
 _ConfigOption = Annotated[
     Path, typer.Option("--config", help="The signed gate configuration (`gate-config`).")
@@ -92,19 +91,19 @@ def gate_command(
     key, cert = _identity(trust, rid, key, cert)
     files = GateFiles(
         robot=rid,
-        trust=str(trust),
-        site=str(site),
+        trust=trust,
+        site=site,
         binding=str(binding),
-        config=str(config),
-        store=str(store),
-        run=str(run),
-        key=str(key),
-        cert=str(cert),
-        safety=_text(safety),
-        risk_policy=_text(risk_policy),
-        emergency=_text(emergency),
-        emergency_journal=_text(emergency_journal),
-        counter=_text(counter),
+        config=config,
+        store=store,
+        run=run,
+        key=key,
+        cert=cert,
+        safety=safety,
+        risk_policy=risk_policy,
+        emergency=emergency,
+        emergency_journal=emergency_journal,
+        counter=counter,
         demo=demo,
         simulate=simulate,
     )
@@ -119,36 +118,36 @@ def check_setup(files: GateFiles) -> None:
         BadParameter: an option that cannot be.
         AuthGuardError: a part that cannot be used, or an unsafe set-up.
     """
-    trust = read_trust(Path(files.trust))
+    trust = read_trust(files.trust)
     now = start_time(files, trust)
-    if files.robot not in trusted_site(Path(files.site), trust, now).robots:
+    if files.robot not in trusted_site(files.site, trust, now).robots:
         raise typer.BadParameter(f"the site has no robot `{files.robot}`", param_hint="--robot")
     if files.simulate and not (files.demo and trust.demo):
         raise typer.BadParameter(
             "only with --demo and a root that says `demo`", param_hint="--simulate"
         )
-    read_signer(Path(files.key), Path(files.cert))
-    _make_run(Path(files.run))
+    read_signer(files.key, files.cert)
+    _make_run(files.run)
     parts = open_parts(files)
-    believed = (files.site, files.binding, files.config)
-    signed = filter(None, (files.safety, files.risk_policy, files.emergency))
+    believed = (files.site, Path(files.binding), files.config)
+    signed = (files.safety, files.risk_policy, files.emergency)
     setup = GateSetup(
         demo=files.demo and trust.demo,
         uid=os.geteuid(),
-        trust=Path(files.trust),
-        key=Path(files.key),
-        chain=Path(files.cert),
+        trust=files.trust,
+        key=files.key,
+        chain=files.cert,
         site=parts.site,
         binding=parts.binding,
-        model=Path(files.site),
+        model=files.site,
         tools=Path(files.binding),
         config=parts.config,
         store=parts.store,
         run=parts.run,
-        counter=_path(files.counter),
-        journal=_path(files.emergency_journal),
+        counter=files.counter,
+        journal=files.emergency_journal,
         interface=shipped_interface(files.binding) or (),
-        files=tuple(map(Path, (*believed, *signed))),
+        files=(*believed, *(path for path in signed if path is not None)),
     )
     require_safe(setup, now)
 
@@ -156,8 +155,7 @@ def check_setup(files: GateFiles) -> None:
 def become_gate(files: GateFiles, *, as_json: bool) -> NoReturn:
     """Replace this program by the gate's process, which keeps its process id."""
     sys.stdout.flush()
-    told = msgspec.json.encode(files).decode()
-    words = [sys.executable, "-P", "-m", "authguard_r.server.main", told]
+    words = [sys.executable, "-P", "-m", "authguard_r.server.main", ask(files)]
     os.execv(sys.executable, words + ["--json"] * as_json)  # noqa: S606 - our own program
 
 
@@ -182,11 +180,3 @@ def _identity(trust: Path, rid: str, key: Path | None, cert: Path | None) -> tup
         raise typer.BadParameter("--key and --cert go together", param_hint="--key")
     name = trust / "keys" / f"gate-{rid}"
     return key or Path(f"{name}.key.pem"), cert or Path(f"{name}.cert.pem")
-
-
-def _text(path: Path | None) -> str | None:
-    return None if path is None else str(path)
-
-
-def _path(text: str | None) -> Path | None:
-    return None if text is None else Path(text)

@@ -25,9 +25,9 @@ from authguard_r.operations.checkup.users import user_name
 from authguard_r.safety import ExternalChecker, Rule, SafetyConfig, open_config, safety_digest
 from authguard_r.safety.config import THE_OBJECT, Executable
 from authguard_r.safety.signed import CONFIG_ROLES
-from authguard_r.server.process import ASKED_MS
 from authguard_r.site.formatting import quantity, quoted
 from authguard_r.site.source import convert, read_text, read_yaml
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.output import emit
 
 app = typer.Typer(help="A robot's signed safety configuration.", no_args_is_help=True)
@@ -148,8 +148,8 @@ def _checker_lines(checker: ExternalChecker | None) -> Iterator[str]:
         who = f"user {checker.uid} ({user_name(checker.uid) or 'no such user here'})"
     asked = quantity(checker.timeout_ms, "ms")
     yield f"  asks {checker.id} at {checker.socket}, {who}, within {asked}"
-    if checker.timeout_ms > ASKED_MS:
-        most = quantity(ASKED_MS, "ms")
+    if checker.timeout_ms > LIMITS.safety_ms:
+        most = quantity(LIMITS.safety_ms, "ms")
         yield f"    NOT FOR `authguard gate`: it takes a checker that answers within {most}"
 
 

@@ -32,14 +32,13 @@ from authguard_r.enforcement.emergency.policy import HOUR_MS, MOST_PER_HOUR, Cal
 from authguard_r.enforcement.leases import quietly
 from authguard_r.enforcement.report import NOT_EVALUATED
 from authguard_r.store.transactions import Held, Ledger, read_held, stop_stands
+from authguard_r.wire.gate_limits import LIMITS
 
 #: What a record of a released call says.
 ACCEPT = "accept"
 #: What the log calls a refused call.
 EMERGENCY = "emergency"
 _KIND, _KEY = "emergency", "state"
-#: Emergencies that ended unknown that are shown.
-_SHOWN = 16
 
 
 class EmergencyStanding(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -102,7 +101,7 @@ class EmergencyAudit:
         )
         self._before = frozenset(self._kept.open)  # of a gate that ended before they did
         #: What ended unknown since this gate started, or was left open by the one before.
-        self.unknown: deque[str] = deque(maxlen=_SHOWN)
+        self.unknown: deque[str] = deque(maxlen=LIMITS.shown_emergencies)
         #: What lies in the journal's file that this gate did not write there; empty: nothing.
         self.strange: dict[str, int] = {}
         if journal is not None:

@@ -42,7 +42,6 @@ from authguard_r.enforcement.completion import (
 )
 from authguard_r.enforcement.inputs import InputVerifier
 from authguard_r.enforcement.leases import (
-    WATCH_MS,
     Keep,
     LeaseMonitor,
     Running,
@@ -64,6 +63,7 @@ from authguard_r.provenance.context import ContextLedger, Influence
 from authguard_r.provenance.labels import label_fields
 from authguard_r.safety.stored_memory import memory_of, remember
 from authguard_r.store.transactions import Ledger, Transaction
+from authguard_r.wire.gate_limits import LIMITS
 
 
 class Enforcer:
@@ -130,7 +130,7 @@ class Enforcer:
             report = begun.poll()
             if report is not None:
                 return report
-            self._clock.pause(WATCH_MS)
+            self._clock.pause(LIMITS.watch_ms)
 
     def submit(
         self,

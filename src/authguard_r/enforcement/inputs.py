@@ -48,14 +48,11 @@ from authguard_r.enforcement.templates import (
     open_template,
 )
 from authguard_r.store.issued_missions import issued
-from authguard_r.store.transactions import SKEW_MS, Ledger, Transaction, read_held
+from authguard_r.store.transactions import Ledger, Transaction, read_held
+from authguard_r.wire.gate_limits import LIMITS
 
 ISSUER_ROLES = frozenset({"operator", "safety_officer"})
 ESTIMATOR_ROLES = frozenset({"estimator"})
-#: Missions that are kept once they were verified: the active one, and a few before it.
-_MOST_KEPT = 16
-#: Different answers of one principal with one verdict that are kept of a request.
-_MOST_ANSWERS = 16
 
 
 class Identities(Delegations, Protocol):
@@ -296,7 +293,7 @@ class InputVerifier:
 
     def _keep(self, verified: VerifiedMission) -> VerifiedMission:
         """Keep a mission; whoever may sign many must not be able to fill the memory."""
-        if len(self._verified) >= _MOST_KEPT:
+        if len(self._verified) >= LIMITS.kept_missions:
             self._verified.clear()
         self._verified[verified.digest] = verified
         return verified
@@ -335,7 +332,7 @@ class InputVerifier:
         ]
         if verified.approval in same:  # one answer has many signatures, and counts once
             return False
-        if len(same) >= _MOST_ANSWERS:
+        if len(same) >= LIMITS.kept_answers:
             text = f"`{verified.approver.id}` has said this often enough"
             raise RefusedError(text, reason=Reason.BUSY, where="approval")
         act.put("approvals", key, encode_fast((*tokens, token.decode("ascii").strip())))
@@ -403,10 +400,10 @@ class InputVerifier:
         now = self._ledger.latest() if self.outlasts_clock else self._ledger.now()
         snapshot = self._open_snapshot(data, now)
         self._require_own(data, snapshot, now)
-        if snapshot.epoch > now.utc_ms + SKEW_MS:
+        if snapshot.epoch > now.utc_ms + LIMITS.skew_ms:
             # before it counts: the largest epoch there is would be the last one ever taken in
             raise AuthenticityError(
-                f"expected an epoch up to {now.utc_ms + SKEW_MS}, got {snapshot.epoch}",
+                f"expected an epoch up to {now.utc_ms + LIMITS.skew_ms}, got {snapshot.epoch}",
                 reason=Reason.VALUE_OUT_OF_RANGE,
                 where="state.epoch",
             )

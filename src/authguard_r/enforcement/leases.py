@@ -29,12 +29,9 @@ from authguard_r.enforcement.inputs import InputVerifier
 from authguard_r.enforcement.report import Judged, Report, outcome_entry
 from authguard_r.safety.stored_memory import settle_memory
 from authguard_r.store.transactions import Ledger, Transaction
+from authguard_r.wire.gate_limits import LIMITS
 
 T = TypeVar("T")
-#: The lease is looked at this often, in milliseconds; never more seldom than every 100.
-WATCH_MS = 100
-#: A robot that was stopped stands by then, in milliseconds, or nobody knows what it does.
-STAND_WITHIN_MS = 2_000
 #: Holds something beside a decision or an outcome, in the same turn; given its record's number.
 Keep = Callable[[Transaction, Report, int], None]
 
@@ -83,7 +80,7 @@ class LeaseMonitor:
         *,
         facts: SiteFacts,
         controller: Controller,
-        stand_within_ms: int = STAND_WITHIN_MS,
+        stand_within_ms: int = LIMITS.stand_within_ms,
     ) -> None:
         self._ledger = ledger
         self._intake = intake

@@ -31,6 +31,7 @@ from authguard_r.estop.files import EStopFiles, ask
 from authguard_r.estop.run_folder import SOCKET, is_served
 from authguard_r.wire.faults import from_fault
 from authguard_r.wire.frames import Frame, FrameReader, frame, read_body
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import (
     PROTOCOL,
     ClientRole,
@@ -44,10 +45,6 @@ from authguard_r.wire.messages import (
 )
 from authguard_r.wire.sockets import reach
 
-#: A lane that is started serves within this time, in seconds.
-START_S = 60
-#: A lane whose queue is full takes the gate within this time, in seconds.
-CONNECT_S = 5
 #: What the lane says when it ended a connection goes here, in the run folder.
 LOG = "stop-lane.log"
 _MAIN = "import sys; from authguard_r.estop.main import main; sys.exit(main(sys.argv[1:]))"
@@ -87,7 +84,7 @@ def start_lane(files: EStopFiles) -> subprocess.Popen[bytes] | None:
 def _ready(process: subprocess.Popen[bytes]) -> subprocess.Popen[bytes]:
     """Return the process once its first line says that it serves."""
     with cast("IO[bytes]", process.stdout) as told:
-        line = told.readline() if select.select([told], [], [], START_S)[0] else b""
+        line = told.readline() if select.select([told], [], [], LIMITS.stop_start_s)[0] else b""
     try:
         said = msgspec.json.decode(line, type=dict[str, object])
     except msgspec.DecodeError:
@@ -148,7 +145,7 @@ class EStopConnection(asyncio.Protocol):
         """
         wire = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
-            async with asyncio.timeout(CONNECT_S):
+            async with asyncio.timeout(LIMITS.stop_connect_s):
                 await reach(wire, self._path)
             line, _ = await asyncio.get_running_loop().create_unix_connection(
                 lambda: self, sock=wire

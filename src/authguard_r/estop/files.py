@@ -11,6 +11,7 @@ from pathlib import Path
 
 import msgspec
 from msgspec import Struct
+from msgspec.structs import replace
 
 from authguard_r.core.identifiers import RobotId
 from authguard_r.keys.trust import read_file
@@ -21,7 +22,7 @@ CONFIG = "stop-lane.config"
 _UNDERSTOOD = b"2"
 
 
-class EStopFiles(Struct, frozen=True, kw_only=True):
+class EStopFiles(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """What a lane is started with.
 
     Args:
@@ -41,22 +42,16 @@ class EStopFiles(Struct, frozen=True, kw_only=True):
     config: Path
 
 
-class StartArguments(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """`EStopFiles` as one argument can hold it."""
-
-    run: str
-    robot: RobotId
-    trust: str
-    key: str
-    cert: str
-    config: str
-
-
 def ask(files: EStopFiles) -> str:
-    """Return the argument that stands for these files."""
+    """Return the argument that names these files to the stop process."""
     names = ("run", "trust", "key", "cert", "config")
-    paths = {name: str(getattr(files, name).absolute()) for name in names}
-    return msgspec.json.encode(StartArguments(robot=files.robot, **paths)).decode()
+    paths = {name: getattr(files, name).absolute() for name in names}
+    return msgspec.json.encode(replace(files, **paths), enc_hook=str).decode()
+
+
+def asked(argument: str) -> EStopFiles:
+    """Return the files that an argument names."""
+    return msgspec.json.decode(argument, type=EStopFiles, dec_hook=lambda kind, it: kind(it))
 
 
 def config_digest(files: EStopFiles) -> str:

@@ -8,28 +8,18 @@ Spec page: docs/spec/gate-protocol.md#stop-lane
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
 import msgspec
 
 from authguard_r.core.errors import AuthGuardError
-from authguard_r.estop.files import EStopFiles, StartArguments
+from authguard_r.estop.files import asked
 from authguard_r.estop.startup import EStopReady, run_lane
 
 
 def main(arguments: list[str]) -> int:
     """Serve until SIGTERM; return the exit code."""
-    asked = msgspec.json.decode(arguments[0], type=StartArguments)
-    files = EStopFiles(
-        run=Path(asked.run),
-        robot=asked.robot,
-        trust=Path(asked.trust),
-        key=Path(asked.key),
-        cert=Path(asked.cert),
-        config=Path(asked.config),
-    )
     try:
-        run_lane(files, _say, of_gate=True)
+        run_lane(asked(arguments[0]), _say, of_gate=True)
     except AuthGuardError as error:
         _say({"error": {"code": error.reason, "message": error.message, "where": error.where}})
         return 5

@@ -46,15 +46,7 @@ from authguard_r.wire.messages import (
     Stopped,
     opening_bound,
 )
-
-#: A hello, and every message that has begun, is whole within this time, in milliseconds.
-WHOLE_WITHIN_MS = 2_000
-#: Most bytes that wait for a client that does not read; one that lets more come is dropped.
-MAX_OUT = 1 << 16
-#: As above for the gate, which is the lane's own user; 256 of the longest stops are less.
-MAX_GATE_OUT = 1 << 20
-#: Most connections of all users together.
-MOST_PEERS = 1_024
+from authguard_r.wire.stop_limits import LIMITS
 
 
 class EStopPeer:
@@ -160,13 +152,13 @@ class EStopDispatcher:
 
     def open(self, uid: int, now: Now) -> EStopPeer:
         """Return the state of a new connection; it may be ending already."""
-        peer = EStopPeer(uid, now.mono_ms + WHOLE_WITHIN_MS)
+        peer = EStopPeer(uid, now.mono_ms + LIMITS.whole_within_ms)
         self._peers.add(peer)
         self._due.add(peer)
         self._users[uid] += 1
         if uid == OVERFLOW_UID or not (uid == self._own_uid or roles_of(self._config, uid)):
             self._end(peer, _denied(f"user {uid} may be nothing here"))
-        elif self._users[uid] > self._config.connections or len(self._peers) > MOST_PEERS:
+        elif self._users[uid] > self._config.connections or len(self._peers) > LIMITS.connections:
             self._end(peer, _busy("too many connections"))
         return peer
 
@@ -365,7 +357,7 @@ class EStopDispatcher:
             peer.due_ms = None
             self._due.discard(peer)
         elif peer.due_ms is None:
-            peer.due_ms = now.mono_ms + WHOLE_WITHIN_MS
+            peer.due_ms = now.mono_ms + LIMITS.whole_within_ms
             self._due.add(peer)
 
     def _send(self, peer: EStopPeer, kind: Kind, number: int, body: object) -> None:
@@ -373,7 +365,9 @@ class EStopDispatcher:
             return
         peer.out += frame(kind, number, body)
         self.touched.append(peer)
-        if len(peer.out) > (MAX_GATE_OUT if peer is self._gate else MAX_OUT):
+        if len(peer.out) > (
+            LIMITS.unread_gate_bytes if peer is self._gate else LIMITS.unread_bytes
+        ):
             self._end(peer, _busy("the client does not read"))
 
     def _end(self, peer: EStopPeer, error: AuthGuardError) -> None:

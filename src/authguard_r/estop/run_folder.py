@@ -20,6 +20,7 @@ from msgspec import Struct
 
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.reasons import Reason
+from authguard_r.wire.stop_limits import LIMITS
 
 SOCKET, PID, SPOOL = "stop.sock", "stop-lane.pid", "stops.spool"
 #: Stops that suspend the mission have a file of their own: nobody else's can fill it.
@@ -28,11 +29,6 @@ FIRST_SPOOL = "operator-stops.spool"
 OF_GATE = "stop-lane.of-gate"
 #: Holds the name of the last lane that served here.
 EPOCH = "stop-lane.epoch"
-#: Connections that wait to be taken.
-_QUEUE = 1_024
-#: A lane that is told to end is gone within this, in seconds; then it is killed.
-_END_S = 5.0
-_LOOK_S = 0.02
 
 
 class RunFolder(Struct, frozen=True, kw_only=True):
@@ -100,11 +96,14 @@ def end_lane(run: Path) -> None:
     """
     with contextlib.suppress(FileNotFoundError, ProcessLookupError, ValueError):
         pid = int((run / PID).read_text())
-        for number, until in ((signal.SIGTERM, _END_S), (signal.SIGKILL, _END_S)):
+        for number, until in (
+            (signal.SIGTERM, LIMITS.end_s),
+            (signal.SIGKILL, LIMITS.end_s),
+        ):
             _send(pid, number)
             ended = time.monotonic() + until
             while is_served(run / SOCKET) and time.monotonic() < ended:
-                time.sleep(_LOOK_S)
+                time.sleep(LIMITS.look_s)
     if is_served(run / SOCKET):
         raise EnvironmentFault(
             "a stop lane serves here and does not end: end it",
@@ -183,7 +182,7 @@ def _listen(path: Path) -> socket.socket:
         with contextlib.suppress(PermissionError):
             os.chown(path, -1, path.parent.stat().st_gid)
         path.chmod(0o660)
-        listener.listen(_QUEUE)
+        listener.listen(LIMITS.backlog)
     except BaseException:
         listener.close()
         raise

@@ -25,21 +25,9 @@ from authguard_r.core.principals import Signer
 from authguard_r.core.quantities import Now
 from authguard_r.estop.protocol import EStopDispatcher, EStopPeer
 from authguard_r.estop.run_folder import EPOCH, FIRST_SPOOL, SPOOL, RunFolder
-from authguard_r.estop.spool import MOST_FIRST_SPOOLED, Spool, left_by, next_epoch
+from authguard_r.estop.spool import Spool, left_by, next_epoch
 from authguard_r.estop.stop_queue import Backlog, Queue
-
-#: Bytes that are read from one client before it is the next one's turn.
-CHUNK = 4_096
-#: Connections that are taken, after those that are there had their turn.
-ACCEPTS = 256
-#: What is due is looked for this often while something can become due, in milliseconds.
-TICK_MS = 20
-#: Other than suspending stops that a gate may still record by itself are written this late.
-SPOOL_MS = 100
-#: A disk that did not take them is asked again after this long, in milliseconds.
-RETRY_MS = 1_000
-#: Why connections were ended is said this often, in milliseconds.
-SAY_MS = 10_000
+from authguard_r.wire.stop_limits import LIMITS
 
 
 class EStopServer:
@@ -62,7 +50,7 @@ class EStopServer:
         say: Callable[[bytes], None],
     ) -> None:
         self.spool = Spool(place.run / SPOOL)
-        self.first_spool = Spool(place.run / FIRST_SPOOL, most=MOST_FIRST_SPOOLED)
+        self.first_spool = Spool(place.run / FIRST_SPOOL, most=LIMITS.first_spool_bytes)
         known = left_by(self.first_spool, self.spool)
         self.journal = Backlog(next_epoch(place.run / EPOCH, _now().utc_ms, known), known)
         self._desk = EStopDispatcher(
@@ -106,7 +94,7 @@ class EStopServer:
             self._accept()
         now = _now()
         self._desk.work(now)
-        if now.mono_ms - self._ticked >= TICK_MS:
+        if now.mono_ms - self._ticked >= LIMITS.tick_ms:
             self._ticked = now.mono_ms
             self._desk.tick(now)
         self._flush(now)
@@ -118,11 +106,11 @@ class EStopServer:
         if self._desk.has_work:
             return 0
         if self._desk.is_lively or self._is_behind or self._desk.dropped:
-            return TICK_MS / 1_000
+            return LIMITS.tick_ms / 1_000
         return None
 
     def _accept(self) -> None:
-        for _ in range(ACCEPTS):
+        for _ in range(LIMITS.accepted_at_once):
             try:
                 line, _ = self._listener.accept()
             except OSError:
@@ -154,7 +142,7 @@ class EStopServer:
 
     def _read(self, peer: EStopPeer, line: socket.socket, now: Now) -> None:
         try:
-            data = line.recv(CHUNK)
+            data = line.recv(LIMITS.chunk_bytes)
         except BlockingIOError:  # pragma: no cover - the kernel said that there is something
             return
         except OSError:
@@ -234,12 +222,12 @@ class EStopServer:
         elif self._fresh_ms is None:
             self._fresh_ms = now.mono_ms
         is_quiet = not (desk.is_waiting or desk.has_work)
-        is_due = self._fresh_ms is not None and now.mono_ms - self._fresh_ms >= SPOOL_MS
+        is_due = self._fresh_ms is not None and now.mono_ms - self._fresh_ms >= LIMITS.spool_ms
         if is_due or (others.is_fresh and is_quiet and not desk.has_gate):
             self._write_others(now)
         if is_quiet and not self.journal:
             self.spool.clear()
-        if desk.dropped and now.mono_ms - self._said >= SAY_MS:
+        if desk.dropped and now.mono_ms - self._said >= LIMITS.log_ms:
             self._said = now.mono_ms
             self._say_dropped()
 
@@ -266,7 +254,7 @@ def _write_some(queue: Queue, spool: Spool, now: Now) -> bool:
     if not stops or now.mono_ms < spool.retry_ms:
         return False
     if not spool.write(stops):
-        spool.retry_ms = now.mono_ms + RETRY_MS
+        spool.retry_ms = now.mono_ms + LIMITS.retry_ms
         return False
     queue.spooled(stops)
     return True

@@ -16,11 +16,7 @@ from pathlib import Path
 import msgspec
 
 from authguard_r.wire.messages import StopHeard
-
-#: Longest file, in bytes; what comes beyond is kept in memory alone.
-MOST_SPOOLED = 1 << 23
-#: Longest file of suspending stops, in bytes.
-MOST_FIRST_SPOOLED = 1 << 25
+from authguard_r.wire.stop_limits import LIMITS
 
 _ENCODER = msgspec.json.Encoder()
 _DECODER = msgspec.json.Decoder(StopHeard)
@@ -39,7 +35,7 @@ class Spool:
         most: longest file, in bytes.
     """
 
-    def __init__(self, path: Path, *, most: int = MOST_SPOOLED) -> None:
+    def __init__(self, path: Path, *, most: int = LIMITS.spool_bytes) -> None:
         self._file = -1
         self._size = 0
         self._most = most

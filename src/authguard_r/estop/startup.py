@@ -31,10 +31,10 @@ from authguard_r.estop.server import EStopServer
 from authguard_r.keys.clock_floor import boot_ms, chain_ms, token_ms
 from authguard_r.keys.signer import FileSigner, read_signer
 from authguard_r.keys.trust import read_file, read_trust
+from authguard_r.wire.stop_limits import LIMITS
 
 #: `mlockall(2)`: what is in memory stays there.
 _MCL_CURRENT = 1
-_NICE = -10
 
 
 class EStopReady(Struct, frozen=True, kw_only=True):
@@ -70,7 +70,7 @@ class Favor(Struct, frozen=True):
     memory: bool
 
 
-def ask_favor(nice: int = _NICE, lock: int = _MCL_CURRENT) -> Favor:
+def ask_favor(nice: int = LIMITS.priority, lock: int = _MCL_CURRENT) -> Favor:
     """Return what the machine gives: a stop waits for no other process, no disk and no collector.
 
     What it does not give is no reason not to serve.

@@ -13,15 +13,7 @@ from itertools import islice
 from msgspec.structs import replace
 
 from authguard_r.wire.messages import SUSPENDING, ClientRole, StopHeard
-
-#: Most of the other roles' stops that are kept one by one, and that are sent ahead of the answer.
-WINDOW = 32
-#: Most suspending stops that are kept one by one; what comes beyond is counted with the last.
-MOST_FIRST = 100_000
-#: Most suspending stops that are sent ahead of the answer.
-FIRST_WINDOW = 256
-#: Most stops that are written at once, so that a write takes about as long as an answer.
-BATCH = 256
+from authguard_r.wire.stop_limits import LIMITS
 
 
 class Queue:
@@ -97,7 +89,7 @@ class Queue:
 
     def to_spool(self) -> list[StopHeard]:
         """Return the first stops that are in memory alone, as many as one write may take."""
-        return list(islice(self._fresh.values(), BATCH))
+        return list(islice(self._fresh.values(), LIMITS.batch))
 
     def spooled(self, stops: list[StopHeard]) -> None:
         """Note that these are in the file now."""
@@ -115,8 +107,8 @@ class Backlog:
 
     def __init__(self, epoch: int, known: tuple[StopHeard, ...] = ()) -> None:
         self.epoch = epoch
-        self.first = Queue(FIRST_WINDOW)
-        self.others = Queue(WINDOW)
+        self.first = Queue(LIMITS.first_window)
+        self.others = Queue(LIMITS.window)
         self._folds: dict[tuple[int, ClientRole], int] = {}
         self._last = known[-1].n if known else 0
         for stop in known:
@@ -168,7 +160,7 @@ class Backlog:
             self._take_first(stop, is_fresh=is_fresh)
             return
         who = (stop.uid, stop.role)
-        if len(self.others) < WINDOW:
+        if len(self.others) < LIMITS.window:
             self.others.keep(stop, is_fresh=is_fresh)
         elif who in self._folds:
             self.others.fold(self._folds[who], stop, is_fresh=is_fresh)
@@ -177,7 +169,7 @@ class Backlog:
             self.others.keep(stop, is_fresh=is_fresh)
 
     def _take_first(self, stop: StopHeard, *, is_fresh: bool) -> None:
-        if len(self.first) < MOST_FIRST:
+        if len(self.first) < LIMITS.first_stops:
             self.first.keep(stop, is_fresh=is_fresh)
         else:
             self.first.fold(self.first.last(), stop, is_fresh=is_fresh)

@@ -15,12 +15,9 @@ from typing import Generic, TypeVar
 from msgspec import Struct
 
 from authguard_r.wire.messages import Stood
+from authguard_r.wire.stop_limits import LIMITS
 
 A = TypeVar("A")
-#: A `HALT` that is not answered is sent again after this long, in milliseconds.
-REPEAT_MS = 100
-#: After this long, in milliseconds, a stop is answered whether anybody confirmed it or not.
-PATIENCE_MS = 1_000
 
 
 class ControllerConnection:
@@ -52,7 +49,11 @@ class ControllerConnection:
 
     def remind(self, now_ms: int) -> None:
         """Send it again once it is due; a controller that does not read gets no heap of them."""
-        if self.is_answering and now_ms - self._told_ms >= REPEAT_MS and self._is_clear():
+        if (
+            self.is_answering
+            and now_ms - self._told_ms >= LIMITS.halt_again_ms
+            and self._is_clear()
+        ):
             self.tell(self.told, now_ms)
 
     def hear(self, number: int, said: Stood) -> bool:
@@ -84,7 +85,7 @@ class PendingStop(Struct, Generic[A], frozen=True, kw_only=True):
 
     def is_over(self, now_ms: int) -> bool:
         """True when nobody is left to confirm it, or it has waited long enough."""
-        if now_ms - self.begun_ms >= PATIENCE_MS:
+        if now_ms - self.begun_ms >= LIMITS.stop_answer_ms:
             return True
         return all(brake.is_gone or brake.stood >= self.needs for brake in self.brakes)
 

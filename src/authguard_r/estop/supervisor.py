@@ -20,21 +20,8 @@ from authguard_r.core.errors import AuthGuardError
 from authguard_r.estop.connection import EStopConnection, start_lane
 from authguard_r.estop.files import CONFIG, EStopFiles, config_digest
 from authguard_r.estop.run_folder import SOCKET, end_lane, is_of_gate, is_served, kill
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import StopHeard
-
-#: A lane that is gone is looked for this often, in seconds.
-RETRY_S = 1.0
-#: A lane that was started here and is told to end is gone within this, in seconds.
-END_S = 5.0
-#: The lane is told what is recorded this often, in seconds; it sends at most 32 stops before.
-HEARD_S = 0.1
-#: A lane is asked whether it is there this often, in seconds; a process that hangs stays connected.
-ASK_S = 0.05
-#: It answers when nobody asked anything within this time, in seconds: nothing moves meanwhile.
-WITHIN_S = 0.3
-#: A lane is silent after so many looks without an answer, and replaced after so many more. A stop
-#: takes it a second at most. Looks are counted, not time: a gate that hung itself looks once.
-SILENT, REPLACED = 24, 40
 
 
 class StopListener(Protocol):
@@ -75,8 +62,8 @@ class EStopSupervisor:
 
     @property
     def alive(self) -> bool:
-        """True while a lane has answered within `WITHIN_S`: a stop would be carried out."""
-        return time.monotonic() - self._answered_s <= WITHIN_S
+        """True while the stop process answers in time: a stop would be carried out."""
+        return time.monotonic() - self._answered_s <= LIMITS.stop_within_s
 
     def start(self) -> None:
         """Start a lane unless one serves.
@@ -100,7 +87,7 @@ class EStopSupervisor:
         for process in self._started:
             process.terminate()
             try:
-                process.wait(END_S)
+                process.wait(LIMITS.stop_end_s)
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
@@ -129,7 +116,7 @@ class EStopSupervisor:
                 close = await self._connect(listener, lost)
             except AuthGuardError as error:
                 listener.lane_lost(error)
-                await asyncio.sleep(RETRY_S)
+                await asyncio.sleep(LIMITS.stop_retry_s)
                 await self._restart()
                 continue
             connected()
@@ -147,14 +134,16 @@ class EStopSupervisor:
             if not self._is_asked:  # one question at a time: a lane that hangs gets no heap
                 self._ask_again()
             with suppress(TimeoutError):
-                async with asyncio.timeout(ASK_S):  # `wait_for` can lose a cancellation (3.11)
+                async with asyncio.timeout(
+                    LIMITS.stop_ask_s
+                ):  # `wait_for` can lose a cancellation (3.11)
                     await lost.wait()
             self._looks += 1
             waits = self._is_asked and not lost.is_set()
-            if is_told is not (waits and self._looks >= SILENT):
+            if is_told is not (waits and self._looks >= LIMITS.stop_silent_looks):
                 is_told = not is_told
                 listener.lane_silent(is_silent=is_told)
-            if waits and self._looks >= REPLACED and listener.settled:
+            if waits and self._looks >= LIMITS.stop_replaced_looks and listener.settled:
                 self._replace()
 
     def _replace(self) -> None:
@@ -172,7 +161,9 @@ class EStopSupervisor:
 
     def _answered(self) -> None:
         self._answered_s, self._asked_s = self._asked_s or -math.inf, None
-        if time.monotonic() - self._answered_s > ASK_S:  # this process was late, not the lane
+        if (
+            time.monotonic() - self._answered_s > LIMITS.stop_ask_s
+        ):  # this process was late, not the lane
             self._ask_again()
 
     async def _connect(self, listener: StopListener, lost: asyncio.Event) -> Callable[[], None]:
@@ -182,7 +173,7 @@ class EStopSupervisor:
         def on_stop(heard: StopHeard) -> None:
             listener.stopped(heard)
             if not recorded:  # one word for all of a moment: a flood of stops waits in the lane
-                loop.call_later(HEARD_S, say)
+                loop.call_later(LIMITS.stop_heard_s, say)
             recorded.append(heard.n)
 
         def say() -> None:
@@ -195,7 +186,7 @@ class EStopSupervisor:
                     link.heard(n)
                 recorded.clear()
             elif recorded and not lost.is_set():
-                loop.call_later(HEARD_S, say)
+                loop.call_later(LIMITS.stop_heard_s, say)
 
         def on_lost(why: AuthGuardError | None) -> None:
             if not lost.is_set():
@@ -220,7 +211,7 @@ class EStopSupervisor:
         try:
             await asyncio.to_thread(self.start)
         except AuthGuardError:
-            await asyncio.sleep(RETRY_S)
+            await asyncio.sleep(LIMITS.stop_retry_s)
 
 
 def retire_stale(files: EStopFiles) -> None:

@@ -23,14 +23,9 @@ from authguard_r.server.stop_recorder import StopRecorder
 from authguard_r.server.wiring import Gate
 from authguard_r.wire.faults import to_fault
 from authguard_r.wire.frames import Frame, read_body
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import ClientRole, Mode, Stop, Stopped
 
-#: A stop is answered after so long, in milliseconds, whether anybody confirmed it or not.
-PATIENCE_MS = 1_000
-#: A record of the same user and role within this time counts those that follow, in milliseconds.
-FOLD_MS = 100
-#: Further stops that join the one under way; the rest has no answer of its own.
-_MOST_JOINED = 64
 #: A user in a role.
 _Who = tuple[int, ClientRole]
 
@@ -132,7 +127,7 @@ class Braking:
         for who, waiting in tuple(self._waiting.items()):
             after_ms = now_ms - waiting.begun_ms
             stands = self._is_confirmed(waiting.halt)
-            if stands or after_ms >= PATIENCE_MS or not self._is_there:
+            if stands or after_ms >= LIMITS.stop_answer_ms or not self._is_there:
                 del self._waiting[who]
                 waiting.stood_ms = after_ms if stands else None
                 said = Stopped(stopped=stands, controller=self._is_there, after_ms=after_ms)
@@ -143,7 +138,7 @@ class Braking:
             if waiting.due_ms is not None and now_ms >= waiting.due_ms:
                 self._write(waiting)
                 del self._written[who]
-            elif waiting.due_ms is None and now_ms - waiting.begun_ms >= FOLD_MS:
+            elif waiting.due_ms is None and now_ms - waiting.begun_ms >= LIMITS.stop_fold_ms:
                 del self._written[who]
 
     def end(self) -> None:
@@ -159,7 +154,7 @@ class Braking:
         known = self._waiting.get(who)
         if known is not None:
             known.more += not _is_same(known.stop, stop)
-            known.asked += [(client, number)] if len(known.asked) < _MOST_JOINED else []
+            known.asked += [(client, number)] if len(known.asked) < LIMITS.joined_stops else []
             loop.call_soon(partial(self._book.begun, client.role))
             return
         self._controller.stop()
@@ -183,7 +178,9 @@ class Braking:
             self._write(waiting)
             self._written[who] = _PendingBrake(waiting.client, waiting.stop, [], now_ms, None)
         elif before is None or before.due_ms is None:
-            later_ms = FOLD_MS if waiting.stood_ms is not None else PATIENCE_MS
+            later_ms = (
+                LIMITS.stop_fold_ms if waiting.stood_ms is not None else LIMITS.stop_answer_ms
+            )
             waiting.due_ms = now_ms + later_ms
             self._written[who] = waiting
         elif before.stood_ms is None and _is_same(before.stop, waiting.stop):

@@ -34,17 +34,9 @@ from authguard_r.server.fair_queue import ServedClient
 from authguard_r.server.lease_registry import LeaseRegistry
 from authguard_r.server.liveness import Liveness
 from authguard_r.server.remote_controller import RemoteController
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import ClientRole, Emergency
 
-#: Answers that are told again, to each user in each role: nobody's calls push out another's.
-_MOST_KEPT = 256
-#: Users whose false calls are counted; a further one takes the place of the oldest.
-_MOST_COUNTED = 1_024
-#: What waits in the journal is tried this often, in milliseconds.
-FLUSH_MS = 100
-#: What the gate calls and could not begin is called again after so long, in milliseconds; after
-#: twice the time of before when that left records, at last after the second number.
-AGAIN_MS, AGAIN_AT_LAST_MS = 1_000, 64_000
 #: The alert about an emergency journal that holds entries that this gate did not write.
 STRANGE = "the emergency journal is not authentic"
 _GATE = Identifier("gate")
@@ -155,7 +147,7 @@ class EmergencyCalls:
             mine.pop(key)
             mine[key] = answer
             answered = [kept for kept, told in mine.items() if told is not None]
-            for kept in answered[:-_MOST_KEPT]:  # what is under way is not forgotten
+            for kept in answered[: -LIMITS.emergency_answers]:  # what is under way is not forgotten
                 del mine[kept]
             client.reply(number, {**answer, "repeated": False})
 
@@ -165,7 +157,7 @@ class EmergencyCalls:
     def look(self) -> None:
         """Go on with what waits, and call what the gate calls by itself."""
         now_ms = self._rescue.watch.mono_ms()
-        if now_ms - self._flushed_ms >= FLUSH_MS:
+        if now_ms - self._flushed_ms >= LIMITS.emergency_flush_ms:
             self._flushed_ms = now_ms
             self._rescue.log.flush()
         if self._waiting is not None:
@@ -279,7 +271,7 @@ class EmergencyCalls:
         user = _user_of(asked.name)
         count = self._false.pop(user, 0) + 1
         self._false[user] = count
-        while len(self._false) > _MOST_COUNTED:
+        while len(self._false) > LIMITS.emergency_users:
             self._false.popitem(last=False)
         if str(count).strip("0") != "1":
             return
@@ -306,7 +298,9 @@ class EmergencyCalls:
             if not call.released:
                 self._met.discard(name)
                 if name in self._failed:  # what begins next is called at once
-                    self._failed[name] = _Failed(self._failed[name].at_ms, AGAIN_MS)
+                    self._failed[name] = _Failed(
+                        self._failed[name].at_ms, LIMITS.emergency_again_ms
+                    )
             elif name not in self._met and self._is_due(name, now_ms):
                 self._met.add(name)
                 self._judge(_CallListener(_GATE, Caller.GATE, name, partial(self._answered, name)))
@@ -323,10 +317,10 @@ class EmergencyCalls:
         """Let a call of the gate's own be made again when nothing came of it."""
         failed = self._failed.pop(name, None)
         if answer["execution"]["outcome"] == Outcome.NOT_STARTED:
-            twice_ms = AGAIN_MS if failed is None else 2 * failed.again_ms
-            again_ms = min(twice_ms, AGAIN_AT_LAST_MS)
+            twice_ms = LIMITS.emergency_again_ms if failed is None else 2 * failed.again_ms
+            again_ms = min(twice_ms, LIMITS.emergency_again_at_last_ms)
         elif answer["ticket"] is None:
-            again_ms = AGAIN_MS if failed is None else failed.again_ms
+            again_ms = LIMITS.emergency_again_ms if failed is None else failed.again_ms
         else:
             return
         self._met.discard(name)

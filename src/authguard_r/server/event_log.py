@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any
 
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.json_log import Lines
 
 #: What of an event may be written.
@@ -19,8 +20,6 @@ _KEPT = frozenset(
     {"event", "what", "client", "role", "here", "by", "act", "stood_ms", "silent_ms", "refusals"}
     | {"why", "robot", "mode", "pid", "status", "unclean"}
 )
-#: Told once in this time, in milliseconds, if they changed.
-COUNTS_MS = 10_000
 
 
 class EventLog:
@@ -44,7 +43,7 @@ class EventLog:
         """Write the counts if they changed and it is time."""
         if now_ms < self._due_ms or counted == self._told:
             return
-        self._due_ms = now_ms + COUNTS_MS
+        self._due_ms = now_ms + LIMITS.counts_ms
         self._told = Counter(counted)
         self._write({"event": "counts", **counted})
 

@@ -17,12 +17,9 @@ import msgspec
 from authguard_r.core.identifiers import Identifier
 from authguard_r.core.reasons import Reason
 from authguard_r.wire.frames import Frame, frame, raw_frame
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import ClientRole, Fault, Kind
 
-#: Requests of one client that wait; reading from it pauses beyond.
-MOST_WAITING = 8
-#: Proposals shed in a row; reading from the client pauses until its own is answered.
-MOST_SHED = 4
 #: Served before anybody else: what they say keeps the robot safe.
 _URGENT = frozenset({ClientRole.CONTROLLER, ClientRole.ESTIMATOR})
 #: Encoded once: who floods gets it often.
@@ -187,8 +184,8 @@ def _forget(client: ServedClient) -> None:
 
 def _flow(client: ServedClient) -> None:
     """Read on, or stop reading, as much waits or was shed."""
-    much = client.proposing and client.shed >= MOST_SHED
-    paused = much or len(client.waiting) >= MOST_WAITING
+    much = client.proposing and client.shed >= LIMITS.shed_proposals
+    paused = much or len(client.waiting) >= LIMITS.waiting_requests
     if paused is not client.paused:
         client.paused = paused
         (client.line.pause if paused else client.line.resume)()

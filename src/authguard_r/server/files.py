@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import msgspec
 from msgspec import Struct
 
 from authguard_r.access.files import given_binding, trusted_site
@@ -56,19 +57,19 @@ class GateFiles(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """
 
     robot: RobotId
-    trust: str
-    site: str
+    trust: Path
+    site: Path
     binding: str
-    config: str
-    store: str
-    run: str
-    key: str
-    cert: str
-    safety: str | None = None
-    risk_policy: str | None = None
-    emergency: str | None = None
-    emergency_journal: str | None = None
-    counter: str | None = None
+    config: Path
+    store: Path
+    run: Path
+    key: Path
+    cert: Path
+    safety: Path | None = None
+    risk_policy: Path | None = None
+    emergency: Path | None = None
+    emergency_journal: Path | None = None
+    counter: Path | None = None
     demo: bool = False
     simulate: bool = False
 
@@ -78,6 +79,16 @@ class GateFiles(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         return None if self.counter is None else FileCounter(Path(self.counter))
 
 
+def ask(files: GateFiles) -> str:
+    """Return the argument that names these files to the gate's process."""
+    return msgspec.json.encode(files, enc_hook=str).decode()
+
+
+def asked(argument: str) -> GateFiles:
+    """Return the files that an argument names."""
+    return msgspec.json.decode(argument, type=GateFiles, dec_hook=lambda kind, it: kind(it))
+
+
 def start_time(files: GateFiles, trust: Trust) -> Now:
     """Return the machine's clock, or the latest time that is known to be over if that is later.
 
@@ -85,8 +96,8 @@ def start_time(files: GateFiles, trust: Trust) -> Now:
     until somebody sets the clock.
     """
     counted = read_counter(files.outside, verifier=trust)
-    signed_ms = token_ms(read_file(Path(files.config)))
-    known_ms = (committed_ms(Path(files.store)), counted.time_ms, signed_ms)
+    signed_ms = token_ms(read_file(files.config))
+    known_ms = (committed_ms(files.store), counted.time_ms, signed_ms)
     return Now(boot_ms(SystemClock().wall_ms(), trust, *known_ms), 0)
 
 
@@ -96,36 +107,35 @@ def open_parts(files: GateFiles) -> GateParts:
     Raises:
         AuthGuardError: a part cannot be read, is not sound or is not authentic.
     """
-    trust = read_trust(Path(files.trust))
+    trust = read_trust(files.trust)
     now = start_time(files, trust)
-    site = trusted_site(Path(files.site), trust, now)
-    key, cert, config = Path(files.key), Path(files.cert), Path(files.config)
+    site = trusted_site(files.site, trust, now)
     stop_process = EStopFiles(
-        run=Path(files.run),
+        run=files.run,
         robot=files.robot,
-        trust=Path(files.trust),
-        key=key,
-        cert=cert,
-        config=config,
+        trust=files.trust,
+        key=files.key,
+        cert=files.cert,
+        config=files.config,
     )
     policy = files.risk_policy
     return GateParts(
-        run=Path(files.run),
+        run=files.run,
         trust=trust,
-        signer=read_signer(key, cert),
+        signer=read_signer(files.key, files.cert),
         site=site,
         binding=given_binding(files.binding, site),
         safety=_safety(files, trust, site, now),
-        config=open_gate_config(read_file(config), verifier=trust, now=now, robot=files.robot),
-        store=Path(files.store),
+        config=open_gate_config(
+            read_file(files.config), verifier=trust, now=now, robot=files.robot
+        ),
+        store=files.store,
         lane=None if files.simulate else stop_process,
         journal=STDERR,
         demo=files.demo,
-        key=key,
+        key=files.key,
         simulated=_simulated(files, trust, site) if files.simulate else None,
-        risk=None
-        if policy is None
-        else open_policy(read_file(Path(policy)), verifier=trust, now=now),
+        risk=None if policy is None else open_policy(read_file(policy), verifier=trust, now=now),
         counter=files.outside,
         emergency=_emergency(files, trust, site, now),
     )
@@ -133,7 +143,7 @@ def open_parts(files: GateFiles) -> GateParts:
 
 def _safety(files: GateFiles, trust: Trust, site: Site, now: Now) -> SafetyConfig:
     if files.safety is not None:
-        return open_config(read_file(Path(files.safety)), verifier=trust, now=now)
+        return open_config(read_file(files.safety), verifier=trust, now=now)
     if not trust.demo:
         raise EnvironmentFault(
             "expected a safety officer's signed configuration outside demonstration",
@@ -146,9 +156,9 @@ def _safety(files: GateFiles, trust: Trust, site: Site, now: Now) -> SafetyConfi
 def _emergency(files: GateFiles, trust: Trust, site: Site, now: Now) -> EmergencyParts | None:
     if files.emergency is None:
         return None
-    token, journal = read_file(Path(files.emergency)), files.emergency_journal
+    token = read_file(files.emergency)
     policy = open_emergency(token, verifier=trust, now=now, site=site, robot=files.robot)
-    return EmergencyParts(policy=policy, journal=None if journal is None else Path(journal))
+    return EmergencyParts(policy=policy, journal=files.emergency_journal)
 
 
 def _simulated(files: GateFiles, trust: Trust, site: Site) -> SimulatedRobot:
@@ -167,7 +177,7 @@ def _simulated(files: GateFiles, trust: Trust, site: Site) -> SimulatedRobot:
         site,
         files.robot,
         initial_state(site, site.robots[files.robot].home),
-        estimator=folder_signer(Path(files.trust), f"estimator-{files.robot}"),
+        estimator=folder_signer(files.trust, f"estimator-{files.robot}"),
         start_ms=now_ms,
         epoch=now_ms,
     )

@@ -22,12 +22,9 @@ from authguard_r.core.lifecycle import Status
 from authguard_r.core.mission import OnRefusal
 from authguard_r.core.standing import Outcome
 from authguard_r.enforcement.report import Report
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import ClientRole
 
-#: Alerts that `status` shows.
-_SHOWN = 20
-#: Clients whose refusals are counted; a further one takes the place of the oldest.
-_COUNTED = 1_024
 #: What is said of a controller that is not there.
 _AWAY = "controller is not connected"
 #: Alerts about a mission: each ends when that mission ends or another one is activated.
@@ -77,7 +74,7 @@ class Liveness:
         self._mission = mission
         self._active = False
         self._since_ms = mono_ms()
-        self.alerts: deque[dict[str, Any]] = deque(maxlen=_SHOWN)
+        self.alerts: deque[dict[str, Any]] = deque(maxlen=LIMITS.shown_alerts)
 
     def hear(self, role: ClientRole) -> None:
         """Note that a role was heard of."""
@@ -201,7 +198,7 @@ class Liveness:
     def _count(self, who: str) -> int:
         count = self._refused.pop(who, 0) + 1
         self._refused[who] = count
-        if len(self._refused) > _COUNTED:
+        if len(self._refused) > LIMITS.counted_users:
             del self._refused[next(iter(self._refused))]
         return count
 

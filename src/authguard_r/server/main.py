@@ -12,7 +12,7 @@ import sys
 
 import msgspec
 
-from authguard_r.server.files import GateFiles, open_parts
+from authguard_r.server.files import asked, open_parts
 from authguard_r.server.process import Rendezvous, run_gate
 from authguard_r.wire.messages import Mode
 from authguard_r.wire.output import answered, emit
@@ -20,7 +20,7 @@ from authguard_r.wire.output import answered, emit
 
 def main(arguments: list[str]) -> int:
     """Serve until SIGTERM; return the exit code."""
-    files = msgspec.json.decode(arguments[0], type=GateFiles)
+    files = asked(arguments[0])
     as_json = "--json" in arguments
 
     def run() -> int:

@@ -27,18 +27,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.normalize import Binder, Dialect, Plan, normalize
 from authguard_r.normalize.binding import Binding
 from authguard_r.site.model import Site
-
-#: Plans up to this long are read in the gate's own turn, in bytes.
-SHORT = 1 << 12
-#: Longest time to read one plan, in seconds; the process is ended then.
-READ_S = 5.0
-#: Long plans that wait, of one user and of all; more of them are `BUSY`.
-MOST_OF_USER = 2
-MOST_WAITING = 16
-#: Most memory of the process, in bytes.
-_MEMORY = 1 << 30
-#: Added to the gate's niceness: hostile text has time.
-_NICER = 10
+from authguard_r.wire.gate_limits import LIMITS
 
 #: Takes a plan that was read, or why it could not be; None: it was not, for nobody waits.
 Taken = Callable[[Plan | AuthGuardError | None], None]
@@ -76,8 +65,8 @@ class PlanReader:
         site: Site,
         binding: Binding,
         *,
-        within_s: float = READ_S,
-        memory_bytes: int = _MEMORY,
+        within_s: float = LIMITS.parse_s,
+        memory_bytes: int = LIMITS.parser_bytes,
     ) -> None:
         self._tools = (site, binding, memory_bytes)
         self._within_s = within_s
@@ -108,7 +97,7 @@ class PlanReader:
             EnvironmentFault: enough wait already, of this user or of all.
         """
         mine = sum(asked.uid == uid for asked in self._queue)
-        if mine >= MOST_OF_USER or len(self._queue) >= MOST_WAITING:
+        if mine >= LIMITS.long_plans_of_user or len(self._queue) >= LIMITS.long_plans:
             raise EnvironmentFault(
                 "too many long plans wait to be read", reason=Reason.BUSY, where="proposal"
             )
@@ -204,7 +193,7 @@ class PlanReader:
 def _serve(line: Connection, site: Site, binding: Binding, memory_bytes: int) -> None:
     """Say that plans are read here, and read them until the gate is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.nice(_NICER)
+    os.nice(LIMITS.parser_nice)
     resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
     binder = Binder(site, binding)
     line.send_bytes(b"")

@@ -27,7 +27,7 @@ from authguard_r.normalize import Binder, Dialect, Plan, normalize
 from authguard_r.provenance.context import ContextLedger
 from authguard_r.server.fair_queue import ServedClient
 from authguard_r.server.lease_registry import LeaseRegistry
-from authguard_r.server.plan_reader import SHORT, PlanReader, Taken
+from authguard_r.server.plan_reader import PlanReader, Taken
 from authguard_r.server.plan_run import Later, ServedPlan
 from authguard_r.server.proposals import (
     Keeper,
@@ -38,23 +38,22 @@ from authguard_r.server.proposals import (
 )
 from authguard_r.server.what_if import WhatIf
 from authguard_r.wire.disclosure import Disclosure
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import Evaluate, Fault, Propose, Result
 
 #: Characters of an observed text that are looked through in one turn.
-PART = 1_024
 _HANDED_OVER = Fault(
     code=Reason.BUSY,
     message="another connection of this client asked for the answer",
     where="proposal.key",
 )
-#: Planners whose inputs are kept, each for itself.
-_MOST_CONTEXTS = 256
-_MOST_OF_USER = 32
 
 
 def parts_of(text: str) -> list[str]:
     """Return a text in parts that are each looked through in a turn; of an empty one, itself."""
-    return [text[at : at + PART] for at in range(0, len(text), PART)] or [""]
+    return [
+        text[at : at + LIMITS.part_characters] for at in range(0, len(text), LIMITS.part_characters)
+    ] or [""]
 
 
 class Plans:
@@ -128,7 +127,7 @@ class Plans:
             return
         owner = f"u{client.uid}."
         theirs = sum(name.startswith(owner) for name in self._contexts)
-        if theirs >= _MOST_OF_USER or len(self._contexts) >= _MOST_CONTEXTS:
+        if theirs >= LIMITS.contexts_of_user or len(self._contexts) >= LIMITS.contexts:
             self._could_not_note(client)  # nobody's inputs are forgotten for another's
             raise EnvironmentFault(
                 "too many planners were shown something", reason=Reason.BUSY, where="observe"
@@ -236,7 +235,7 @@ class Plans:
         Raises:
             EnvironmentFault: too many long ones wait already.
         """
-        if len(data) > SHORT:
+        if len(data) > LIMITS.short_plan_bytes:
             self._reader.read(data, dialect, taken, uid=client.uid, wanted=wanted)
             return
         try:
@@ -378,7 +377,7 @@ class Plans:
     def _could_not_note(self, client: ServedClient) -> None:
         owner = f"u{client.uid}."
         theirs = sum(name.startswith(owner) for name in self._unheard)
-        self._unheard.add(client.name if theirs < _MOST_OF_USER else owner)
+        self._unheard.add(client.name if theirs < LIMITS.contexts_of_user else owner)
 
     def _empty(self) -> ContextLedger:
         return ContextLedger(self._binder.spellings(), channels=self._channels)

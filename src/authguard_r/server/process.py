@@ -30,10 +30,9 @@ from authguard_r.anchoring.sealing.policy import SealingPolicy
 from authguard_r.anchoring.sealing.stored_policy import hold_policy
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.identifiers import RobotId
-from authguard_r.core.ports import Clock, Controller
+from authguard_r.core.ports import Clock, Controller, SafetyGate
 from authguard_r.core.reasons import Reason
 from authguard_r.enforcement.emergency_enforcer import EmergencyEnforcer
-from authguard_r.enforcement.leases import WATCH_MS
 from authguard_r.estop.supervisor import EStopSupervisor
 from authguard_r.normalize import Binder
 from authguard_r.normalize.binding import binding_digest
@@ -47,7 +46,7 @@ from authguard_r.server.periodic import every
 from authguard_r.server.plan_reader import PlanReader
 from authguard_r.server.recovery import Recovery
 from authguard_r.server.remote_controller import RemoteController, ShadowController
-from authguard_r.server.robot_lock import ANSWER_S, Lock, hold_robot, root_fingerprint
+from authguard_r.server.robot_lock import Lock, hold_robot, root_fingerprint
 from authguard_r.server.service import Service
 from authguard_r.server.service_parts import ServiceParts
 from authguard_r.server.state_inbox import StateInbox
@@ -57,22 +56,11 @@ from authguard_r.site.model import stopping_mm
 from authguard_r.store.clocks import SIMULATED, SystemClock
 from authguard_r.store.refusals import RefusalPolicy
 from authguard_r.store.sqlite import SqliteStore, open_store
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import Mode
 
 #: The clients' socket, in the run folder.
 SOCKET = "gate.sock"
-#: Refusals wait this long for somebody else's commit, in milliseconds.
-DELAY_MS = 100
-#: The longest that a safety checker may hold up the looks at open leases, in milliseconds.
-ASKED_MS = 50
-#: What is added to the process's niceness, where the machine lets it.
-PRIORITY = -5
-#: Connections that the kernel keeps until they are taken.
-_BACKLOG = 1_024
-#: The most that one look takes a simulation nearer to the machine's clock, in milliseconds.
-CATCH_UP_MS = 10_000
-#: Connections taken at a time: those refused let go of their files before many more are taken.
-_AT_ONCE = 16
 
 
 class Rendezvous(Struct, frozen=True, kw_only=True):
@@ -98,17 +86,19 @@ def run_gate(parts: GateParts, ready: Callable[[Rendezvous], None]) -> None:
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))  # a connection is a file
     with suppress(OSError):
-        os.nice(PRIORITY)  # whoever floods the machine waits for the robot, not the robot for him
+        os.nice(
+            LIMITS.priority
+        )  # whoever floods the machine waits for the robot, not the robot for him
     with ExitStack() as held:
         lock = _hold(parts)
         held.callback(lock.release)
-        inbox = StateInbox()
+        inbox, safety = StateInbox(), gate_of(parts.safety, asked_ms=LIMITS.safety_ms)
         store = open_store(parts.store, reserve_bytes=parts.config.reserve_bytes)
         opened = _open_store(parts, store, inbox)
         keeper = None if parts.lane is None else EStopSupervisor(parts.lane)
         bounds = _stream_bounds(parts, opened)
         remote = _remote(parts, opened, keeper, bounds)
-        gate = _join(parts, opened, _controller(parts, remote))
+        gate = _join(parts, opened, safety, _controller(parts, remote))
         held.callback(gate.close)
         recovery = Recovery(gate.management, first=partial(hold_configured, parts, gate.management))
         recovery.begin()
@@ -188,10 +178,10 @@ def _open_store(parts: GateParts, store: SqliteStore, inbox: StateInbox) -> Gate
     )
 
 
-def _join(parts: GateParts, opened: GateStore, controller: Controller) -> Gate:
+def _join(parts: GateParts, opened: GateStore, safety: SafetyGate, controller: Controller) -> Gate:
     gate = join(
         opened,
-        safety=gate_of(parts.safety, asked_ms=ASKED_MS),
+        safety=safety,
         controller=controller,
         clock=_clock(parts),
         stand_within_ms=parts.config.stand_within_ms,
@@ -243,7 +233,7 @@ def _policy(config: GateConfig) -> RefusalPolicy:
     """Return what waits and what is counted; a shadow run is there to be read, so nothing is."""
     shadow = config.mode is Mode.SHADOW
     return RefusalPolicy(
-        delay_ms=DELAY_MS,
+        delay_ms=LIMITS.refusal_delay_ms,
         fold_ms=0 if shadow else config.fold_ms,
         users=len({peer.uid for peer in config.peers}) + 1,  # and the one whom nobody named
     )
@@ -282,8 +272,8 @@ class _Pace:
     def __call__(self, moving: bool) -> None:  # noqa: FBT001 - one of two paces
         robot, now_ms = self._robot, self._clock.mono_ms()
         passed_ms, self._asked_ms = now_ms - self._asked_ms, now_ms
-        behind_ms = min(self._clock.wall_ms() - robot.wall_ms(), CATCH_UP_MS)
-        robot.pause(WATCH_MS if moving else max(behind_ms, passed_ms))
+        behind_ms = min(self._clock.wall_ms() - robot.wall_ms(), LIMITS.catch_up_ms)
+        robot.pause(LIMITS.watch_ms if moving else max(behind_ms, passed_ms))
         del robot.trace[:-1]  # a process lives long
 
 
@@ -307,7 +297,7 @@ async def _serve(
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, service.ended.set)
-    answering = asyncio.ensure_future(every(ANSWER_S, lock.answer))
+    answering = asyncio.ensure_future(every(LIMITS.lock_answer_s, lock.answer))
     keeping = await _keep(keeper, service)
     path = parts.run / SOCKET
     server = await _listen(path, service)
@@ -344,9 +334,9 @@ async def _listen(path: Path, service: Service) -> asyncio.Server:
     try:
         listener.bind(str(path))
         server = await asyncio.get_running_loop().create_unix_server(
-            service.connect, sock=listener, backlog=_AT_ONCE
+            service.connect, sock=listener, backlog=LIMITS.accepted_at_once
         )
-        listener.listen(_BACKLOG)
+        listener.listen(LIMITS.backlog)
         path.chmod(0o660)  # the folder and its group say who may reach it
     except OSError as error:
         listener.close()

@@ -24,9 +24,9 @@ from authguard_r.enforcement.report import Report
 from authguard_r.server.replayed_response import retold
 from authguard_r.store.transactions import Ledger, Transaction, read_held
 from authguard_r.wire.disclosure import Disclosure, disclosed
+from authguard_r.wire.gate_limits import LIMITS
 
 #: Answers that are remembered beside the store.
-_MOST_KNOWN = 1_024
 _KIND = "proposal"
 
 
@@ -140,7 +140,7 @@ class ProposalRegistry:
     def remember(self, client: Identifier, key: str, answered: ProposalAnswer) -> None:
         """Remember an answer for a while."""
         self._known[_place(client, key)] = answered
-        if len(self._known) > _MOST_KNOWN:
+        if len(self._known) > LIMITS.remembered_answers:
             self._known.popitem(last=False)
 
 

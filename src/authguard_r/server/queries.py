@@ -29,12 +29,8 @@ from authguard_r.server.lease_registry import LeaseRegistry
 from authguard_r.server.liveness import Liveness
 from authguard_r.server.wiring import Gate
 from authguard_r.store.transactions import stop_stands
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import ClientRole
-
-#: Longest page of the log, in bytes of records.
-_PAGE_BYTES = 1 << 21
-#: Records that are looked through for the last refusal.
-_LOOKED = 1_000
 
 
 class GateQueries:
@@ -178,7 +174,7 @@ class GateQueries:
             lambda turn: turn.rows(first, count)
         ):
             size += len(record) + len(sealed)
-            if told and size > _PAGE_BYTES:
+            if told and size > LIMITS.page_bytes:
                 break
             told.append(
                 {
@@ -217,7 +213,9 @@ class GateQueries:
         """Return the number of the last refused proposal in the log, with those that waited."""
         self._gate.ledger.flush()
         size = self._gate.ledger.peek(lambda turn: turn.head())[0]
-        rows = self._gate.ledger.peek(lambda turn: turn.rows(max(0, size - _LOOKED), _LOOKED))
+        rows = self._gate.ledger.peek(
+            lambda turn: turn.rows(max(0, size - LIMITS.searched_records), LIMITS.searched_records)
+        )
         for seq, record, _, _ in reversed(rows):
             if is_refused_proposal(read_record(record, where=f"record {seq}")):
                 return seq

@@ -12,10 +12,9 @@ from collections.abc import Callable
 from authguard_r.core.errors import ClockError
 from authguard_r.enforcement.leases import quietly
 from authguard_r.enforcement.management import Management
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import Kind
 
-#: It is settled by then, with attested state or without, in milliseconds.
-WITHIN_MS = 2_000
 #: Nothing of these is served before.
 _AFTER = frozenset({Kind.PROPOSE, Kind.ORDER, Kind.EVALUATE})
 
@@ -76,7 +75,7 @@ class Recovery:
 
     def late(self, uptime_ms: int) -> bool:
         """Settle without a snapshot once nobody sends one; True when that was now."""
-        return uptime_ms >= WITHIN_MS and self.now()
+        return uptime_ms >= LIMITS.recovery_ms and self.now()
 
     def now(self) -> bool:
         """Settle, unless it was done; True when that was now. What fails is tried again."""

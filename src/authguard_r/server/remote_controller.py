@@ -21,6 +21,7 @@ from authguard_r.core.identifiers import Digest, ParameterId
 from authguard_r.core.lease import Lease
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome, Spend
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import (
     Begun,
     Close,
@@ -35,15 +36,9 @@ from authguard_r.wire.messages import (
 
 #: Sends one message to the controller, with a number that its answer carries back.
 Send = Callable[[Kind, object, int], None]
-#: A stop counts as heard of when the lane says that it has told of all of its own; where there is
-#: no lane to ask, after this, in milliseconds.
-EXPLAIN_WITHIN_MS = 500
 #: The parameter that says how long a stream lasts, and how much later its controller stops it.
 DURATION = ParameterId("duration_ms")
-SLACK_MS = 500
 _VELOCITY = ("_mm_s", "_urad_s")
-#: A controller says within this that it began, in milliseconds.
-BEGIN_WITHIN_MS = 1_000
 
 
 def is_stream(action: Action) -> bool:
@@ -56,7 +51,11 @@ def is_stream(action: Action) -> bool:
 def longest_ms(action: Action, lease: Lease, now_ms: int) -> int:
     """Return how long a controller may go on at most; a stream no longer than it was asked for."""
     left_ms = max(0, lease.until_mono_ms - now_ms)
-    return min(left_ms, action.params[DURATION] + SLACK_MS) if is_stream(action) else left_ms
+    return (
+        min(left_ms, action.params[DURATION] + LIMITS.stream_slack_ms)
+        if is_stream(action)
+        else left_ms
+    )
 
 
 class Unexplained(Struct, frozen=True):
@@ -282,7 +281,7 @@ class RemoteController:
 
     def check(self) -> None:
         """Doubt every action whose begin nobody confirmed in time."""
-        late = self._mono_ms() - BEGIN_WITHIN_MS
+        late = self._mono_ms() - LIMITS.begin_within_ms
         for flight in self._flights.values():
             if not flight.begun and flight.dispatched_ms < late:
                 flight.doubt()
@@ -290,7 +289,7 @@ class RemoteController:
     def _known_stops(self) -> int:
         """Return the last stop that the gate has heard of, and knows the reason of."""
         waiting = self._unexplained
-        if waiting is None or self._mono_ms() - waiting.since_ms < EXPLAIN_WITHIN_MS:
+        if waiting is None or self._mono_ms() - waiting.since_ms < LIMITS.explain_within_ms:
             return self._stops
         explained = partial(self._explained, waiting)
         if not self._ask(explained):  # nobody can have stopped it through a lane

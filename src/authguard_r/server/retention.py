@@ -12,11 +12,10 @@ from typing import Any
 from authguard_r.core.errors import AuthGuardError, ClockError
 from authguard_r.enforcement.management import Management
 from authguard_r.server.liveness import Liveness
+from authguard_r.wire.gate_limits import LIMITS
 
 #: What people are told while fields stay that were to be destroyed.
 STUCK = "sealed fields are not destroyed"
-#: How often it is looked whether anything has no more time, in milliseconds.
-EVERY_MS = 60_000
 
 
 class RetentionWork:
@@ -46,7 +45,7 @@ class RetentionWork:
     def look(self) -> None:
         """Do what is due; while the clock is wrong, nothing is."""
         now_ms = self._mono_ms()
-        if self._looked_ms is None or now_ms - self._looked_ms >= EVERY_MS:
+        if self._looked_ms is None or now_ms - self._looked_ms >= LIMITS.retention_ms:
             self._looked_ms = now_ms
             self._try("retention", self._retire)
         self._try("destruction", self._management.shred_on)

@@ -26,16 +26,12 @@ from authguard_r.access.peers import PeerCredentials, peer_of
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.reasons import Reason
+from authguard_r.wire.gate_limits import LIMITS
 
 #: The file in the run folder that is locked while a gate serves there.
 LOCK_FILE = "gate.lock"
-#: A gate lets those go who asked for it this often, in seconds.
-ANSWER_S = 1.0
-#: How many may ask a gate between two answers.
-_QUEUE = 128
 #: A name whose queue stays full for so long is no gate's, in seconds.
-_PATIENCE_S = 2.5 * ANSWER_S
-_PAUSE_S = 0.02
+_PATIENCE_S = 2.5 * LIMITS.lock_answer_s
 #: Every Unix socket of this network namespace, a line each, its name last.
 _NAMES = Path("/proc/self/net/unix")
 
@@ -49,7 +45,7 @@ class Lock:
 
     def answer(self) -> None:
         """Let those go who asked who holds the robot: a full queue would hide that we do."""
-        for _ in range(_QUEUE):
+        for _ in range(LIMITS.lock_queue):
             try:
                 asking, _ = self._name.accept()
             except OSError:
@@ -117,7 +113,7 @@ def _hold_name(rid: RobotId, fingerprint: str) -> socket.socket:
     held = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
         held.bind(own)
-        held.listen(_QUEUE)
+        held.listen(LIMITS.lock_queue)
         held.settimeout(0)
         holder = _holder([name for name in _names(stem) if name != own])
     except OSError as error:
@@ -156,7 +152,7 @@ def _holder(names: list[bytes]) -> PeerCredentials | None:
                 return peer
         if not full or time.monotonic() >= until:
             return None
-        time.sleep(_PAUSE_S)
+        time.sleep(LIMITS.lock_pause_s)
         names = full
 
 

@@ -42,18 +42,8 @@ from authguard_r.server.sessions import ServerSession
 from authguard_r.server.stop_recorder import StopRecorder
 from authguard_r.server.what_if import WhatIf
 from authguard_r.wire.frames import Frame
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import ClientRole, Hello, Kind, Mode, Welcome
-
-#: Open leases are looked at this often, in seconds; never more seldom than every 100 ms.
-LOOK_S = 0.05
-#: How often some boxes go whose keys are destroyed.
-SHRED_S = 0.05
-#: What waits to be recorded is recorded this often, in seconds.
-FLUSH_S = 0.1
-#: Silence is looked for this often, in seconds.
-LISTEN_S = 1.0
-#: Checkpoints that are due, and witnesses' answers, are looked for this often, in seconds.
-MAINTENANCE_S = 0.1
 
 
 class Service:
@@ -341,11 +331,11 @@ class Service:
     async def run(self) -> None:
         """Keep the clocks going until it is time to end, then stop the robot and write it down."""
         clocks = [
-            asyncio.create_task(every(LOOK_S, self._look)),
-            asyncio.create_task(every(FLUSH_S, self._flush)),
-            asyncio.create_task(every(LISTEN_S, self._listen)),
-            asyncio.create_task(every(MAINTENANCE_S, self.log_maintenance.look)),
-            asyncio.create_task(every(SHRED_S, self.retention.look)),
+            asyncio.create_task(every(LIMITS.look_s, self._look)),
+            asyncio.create_task(every(LIMITS.flush_s, self._flush)),
+            asyncio.create_task(every(LIMITS.listen_s, self._listen)),
+            asyncio.create_task(every(LIMITS.maintenance_s, self.log_maintenance.look)),
+            asyncio.create_task(every(LIMITS.shred_s, self.retention.look)),
         ]
         started = {"robot": self._config.robot, "mode": str(self._config.mode), "pid": os.getpid()}
         self.events.publish({"event": "start", **started, "unclean": self._recovery.unclean})
@@ -393,7 +383,7 @@ class Service:
         until = loop.time() + self._config.stand_within_ms / 1_000
         while self.leases and loop.time() < until:
             self._look()
-            await asyncio.sleep(LOOK_S / 5)
+            await asyncio.sleep(LIMITS.look_s / 5)
         self.events.publish({"event": "end", "robot": self._config.robot})
         for session in tuple(self._sessions):
             session.end()

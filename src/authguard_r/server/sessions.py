@@ -20,6 +20,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.server.fair_queue import ServedClient
 from authguard_r.wire.faults import to_fault
 from authguard_r.wire.frames import Frame, FrameReader, frame, read_body
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import (
     PROTOCOL,
     Hello,
@@ -28,19 +29,6 @@ from authguard_r.wire.messages import (
     opening_bound,
     request_bound,
 )
-
-#: A connection says hello within this, in seconds.
-HELLO_S = 2.0
-#: A frame is whole this long after its first byte, in seconds.
-FRAME_S = 10.0
-#: A client that takes nothing for this long is dropped, in seconds.
-READ_S = 2.0
-#: Bytes of answers that may wait for a client; more of them and it has to read first.
-MOST_UNREAD = 1 << 20
-#: Bytes read at a time: what one client sends at once never takes long to cut.
-_CHUNK = 1 << 12
-#: Files that connections leave to the rest of the process.
-_KEPT_FILES = 80
 
 
 class ConnectionHost(Protocol):
@@ -99,7 +87,7 @@ class ServerSession(asyncio.BufferedProtocol):
     ) -> None:
         self._hall = hall
         self._later = later
-        self._buffer = bytearray(_CHUNK)
+        self._buffer = bytearray(LIMITS.chunk_bytes)
         self._reader = FrameReader(opening_bound)
         self._transport: asyncio.Transport | None = None
         self._timer: asyncio.TimerHandle | None = None  # for its hello, its reading or its end
@@ -115,7 +103,7 @@ class ServerSession(asyncio.BufferedProtocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Ask the kernel who is there; a user with too many connections gets none."""
         self._transport = cast("asyncio.Transport", transport)
-        self._transport.set_write_buffer_limits(high=MOST_UNREAD)
+        self._transport.set_write_buffer_limits(high=LIMITS.unread_bytes)
         try:
             sock = transport.get_extra_info("socket")
             peer = peer_of(cast("Socket", sock))
@@ -129,7 +117,8 @@ class ServerSession(asyncio.BufferedProtocol):
             self._refuse(error)
             return
         self._timer = self._later(
-            HELLO_S, lambda: self._refuse(MalformedError("no hello in time", where="hello"))
+            LIMITS.hello_s,
+            lambda: self._refuse(MalformedError("no hello in time", where="hello")),
         )
 
     def get_buffer(self, sizehint: int) -> bytearray:  # noqa: ARG002 - the chunk is always ours
@@ -173,7 +162,7 @@ class ServerSession(asyncio.BufferedProtocol):
             return
         self.client.clogged = True
         self._cancel()
-        self._timer = self._later(READ_S, lambda: self.drop("it does not read"))
+        self._timer = self._later(LIMITS.read_s, lambda: self.drop("it does not read"))
 
     def resume_writing(self) -> None:
         """Go on: it has read."""
@@ -218,7 +207,7 @@ class ServerSession(asyncio.BufferedProtocol):
         self._end()
         if self._transport is not None:
             self._transport.close()
-            self._timer = self._later(READ_S, self._transport.abort)
+            self._timer = self._later(LIMITS.read_s, self._transport.abort)
 
     # what comes
 
@@ -261,7 +250,7 @@ class ServerSession(asyncio.BufferedProtocol):
             self._cancel_frame()
         if waits and self._frame_timer is None:
             late = MalformedError("a message did not end in time", where="frame")
-            self._frame_timer = self._later(FRAME_S, lambda: self._refuse(late))
+            self._frame_timer = self._later(LIMITS.frame_s, lambda: self._refuse(late))
 
     def _end(self) -> None:
         """Take nothing in any more."""
@@ -291,5 +280,5 @@ def _require_room(file: int) -> None:
         EnvironmentFault: too few are left.
     """
     most, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if file >= most - _KEPT_FILES:
+    if file >= most - LIMITS.kept_files:
         raise EnvironmentFault("too many connections", reason=Reason.BUSY, where="connection")

@@ -21,13 +21,9 @@ from authguard_r.server.fair_queue import ServedClient
 from authguard_r.server.liveness import Liveness
 from authguard_r.server.queries import GateQueries
 from authguard_r.server.remote_controller import RemoteController
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import SUSPENDING, ClientRole, Stop, StopHeard
 
-#: Stops of the lane that are known when they come again: it forgets what it was told of.
-_KNOWN = 4_096
-#: What lane and gate tell of one stop comes within this, in milliseconds; a client repeats the stop
-#: while nobody confirms it.
-_SAME_MS = 10_000
 #: What is said while no stop is heard of.
 _GONE = "the stop lane is gone"
 #: What is said while the lane is connected and does not answer.
@@ -104,7 +100,7 @@ class StopRecorder:
         self._notices = notices
         self._mono_ms = mono_ms
         self._keys: dict[tuple[int, ClientRole, str], _Known] = {}
-        self._known: deque[tuple[int, int]] = deque(maxlen=_KNOWN)
+        self._known: deque[tuple[int, int]] = deque(maxlen=LIMITS.known_stops)
 
     @property
     def settled(self) -> bool:
@@ -196,9 +192,9 @@ class StopRecorder:
             return None
         name, now_ms = (told.uid, told.role, told.key), self._mono_ms()
         known = self._keys.pop(name, None)
-        for old in tuple(self._keys)[: max(0, len(self._keys) + 1 - _KNOWN)]:
+        for old in tuple(self._keys)[: max(0, len(self._keys) + 1 - LIMITS.known_stops)]:
             del self._keys[old]
-        if known is not None and now_ms - known.at_ms > _SAME_MS:
+        if known is not None and now_ms - known.at_ms > LIMITS.same_stop_ms:
             known = None
         if known is not None and known.is_confirmed:
             is_late = known.is_whole and told.stood_ms is None  # a try from before

@@ -32,11 +32,8 @@ from authguard_r.core.state import AttestedState, place_of
 from authguard_r.enforcement.leases import Running, quietly, require_judged
 from authguard_r.server.remote_controller import DURATION, RemoteController, is_stream
 from authguard_r.store.transactions import Ledger
+from authguard_r.wire.gate_limits import LIMITS
 
-#: Samples closer together than this are shed, in milliseconds.
-MIN_GAP_MS = 10
-#: One record of a stream in this time, in milliseconds.
-RECORD_MS = 1_000
 #: Returns how far a robot goes on when it is stopped at a speed, None when nobody can say.
 StoppingWay = Callable[[int], int | None]
 
@@ -87,7 +84,7 @@ class _Stream:
         self.recorded_ms = now_ms
         self.ends_ms = now_ms + judged.action.params[DURATION]
         self.sampled = False
-        self.sampled_ms = now_ms - MIN_GAP_MS
+        self.sampled_ms = now_ms - LIMITS.sample_gap_ms
         self.closed: _Closed | None = None
 
 
@@ -195,7 +192,7 @@ class Streams:
             raise RefusedError("the stream is over", reason=Reason.LEASE_ENDED, where="ticket")
         stream.seen.samples += 1
         stream.digest.update(encode_fast(params))
-        if now_ms - stream.sampled_ms < MIN_GAP_MS:
+        if now_ms - stream.sampled_ms < LIMITS.sample_gap_ms:
             stream.seen.shed += 1
             return False
         stream.sampled, stream.sampled_ms = True, now_ms
@@ -224,7 +221,7 @@ class Streams:
     def record(self) -> None:
         """Write what is due, and end what lasted as decided or is steered by nobody any more."""
         now_ms = self._ledger.mono_ms()
-        due_ms = now_ms - RECORD_MS
+        due_ms = now_ms - LIMITS.stream_record_ms
         for ticket, stream in self._open.items():
             if now_ms >= stream.ends_ms:
                 self._end(ticket, stream, StreamEnd.DURATION)

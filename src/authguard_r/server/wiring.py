@@ -37,7 +37,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
 from authguard_r.enforcement.enforcer import Enforcer
 from authguard_r.enforcement.inputs import InputVerifier
-from authguard_r.enforcement.leases import STAND_WITHIN_MS, LeaseMonitor, quietly
+from authguard_r.enforcement.leases import LeaseMonitor, quietly
 from authguard_r.enforcement.management import Management
 from authguard_r.enforcement.management.lists import Lists
 from authguard_r.keys.clock_floor import boot_ms, chain_ms
@@ -45,6 +45,7 @@ from authguard_r.keys.trust import Trust
 from authguard_r.site.model import Site, facts_of
 from authguard_r.store.refusals import RefusalPolicy
 from authguard_r.store.transactions import Ledger, last_commit_ms
+from authguard_r.wire.gate_limits import LIMITS
 
 
 class Gate(Struct, frozen=True, kw_only=True):
@@ -196,7 +197,7 @@ def join(
     safety: SafetyGate,
     controller: Controller,
     clock: Clock,
-    stand_within_ms: int = STAND_WITHIN_MS,
+    stand_within_ms: int = LIMITS.stand_within_ms,
     recovers: bool = True,
 ) -> Gate:
     """Return the gate of a store and a robot.
@@ -256,7 +257,7 @@ def assemble(
     store: Store,
     log: LogSettings = LogSettings(),  # noqa: B008 - frozen
     demo: bool = False,
-    stand_within_ms: int = STAND_WITHIN_MS,
+    stand_within_ms: int = LIMITS.stand_within_ms,
 ) -> Gate:
     """Return the gate made of these parts, for a program that is the gate's only client.
 

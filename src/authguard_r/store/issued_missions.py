@@ -15,8 +15,6 @@ from authguard_r.core.lifecycle import TERMINAL, Status
 from authguard_r.core.standing import Standing
 from authguard_r.store.transactions import Transaction, read_held
 
-#: How many mission versions are issued at one time; the gate keeps the token of each.
-MOST_ISSUED = 64
 #: Where the store holds a standing beside the mission's own, by digest, and which are issued.
 _KIND, _NAMES = "issued", "names"
 

@@ -20,19 +20,7 @@ from msgspec import Struct, structs
 from authguard_r.audit.record import Entry, LogRow, append, ends_motion
 from authguard_r.core.encoding import Tag, b64, encode_fast
 from authguard_r.core.ports import Turn
-
-#: Refusals that wait for a commit; more of them are counted.
-MOST_WAITING = 1_024
-#: Windows at once, and those of one client: a client that is refused in ever new ways must not take
-#: away everybody else's.
-MOST_WINDOWS = 1_024
-MOST_OF_CLIENT = 128
-#: Windows that end in one flush; the rest ends in the next one.
-MOST_ENDED = 64
-#: Characters of a place that tell windows apart; a proposal may have chosen its length.
-_PLACE = 200
-#: How often the disk is asked for room, in milliseconds.
-_LOOK_MS = 1_000
+from authguard_r.wire.gate_limits import LIMITS
 
 #: Client, reason code and place: what makes two refusals the same.
 Fold = tuple[str, str, str]
@@ -72,7 +60,7 @@ class RefusalPolicy(Struct, frozen=True, kw_only=True):
     @property
     def most_of_user(self) -> int:
         """Windows of one user at once."""
-        return MOST_WINDOWS // (max(self.users, 1) + 1)
+        return LIMITS.windows // (max(self.users, 1) + 1)
 
 
 class PendingEntry(Struct, frozen=True):
@@ -166,7 +154,7 @@ class Refusals:
         if self._is_last:
             return True
         mono_ms = self._mono_ms()
-        if self._looked_ms is None or mono_ms - self._looked_ms >= _LOOK_MS:
+        if self._looked_ms is None or mono_ms - self._looked_ms >= LIMITS.room_ms:
             self._looked_ms = mono_ms
             self._has_room = self._restore()
         return self._has_room
@@ -199,7 +187,7 @@ class Refusals:
             if not has_room:
                 self._unwritten = self._unwritten or _Window("no room", 0)
                 self._unwritten.count(entry, data, key[1])
-            elif self._opens(key) and len(self._waiting) < MOST_WAITING:
+            elif self._opens(key) and len(self._waiting) < LIMITS.waiting_refusals:
                 self._queue(entry)
                 if self.policy.fold_ms > 0:
                     self._open(key, "repeated")
@@ -226,7 +214,7 @@ class Refusals:
                 for key, window in self._windows.items()
                 if everything or window.ends_ms <= mono_ms
             ]
-            for key in over if everything else over[:MOST_ENDED]:
+            for key in over if everything else over[: LIMITS.ended_windows]:
                 self._end(key, time_ms)
             return bool(self._waiting)
 
@@ -253,8 +241,8 @@ class Refusals:
         if self.policy.fold_ms == 0:
             return True
         crowded = (
-            len(self._windows) >= MOST_WINDOWS
-            or self._of_client[key[0]] >= MOST_OF_CLIENT
+            len(self._windows) >= LIMITS.windows
+            or self._of_client[key[0]] >= LIMITS.windows_of_client
             or self._of_user[_user(key)] >= self.policy.most_of_user
         )
         return key not in self._windows and not crowded
@@ -272,7 +260,7 @@ class Refusals:
         theirs = (key[0], _ANYTHING, _ANYTHING)
         if self._of_user[_user(key)] >= self.policy.most_of_user and theirs not in self._windows:
             theirs = (_user(key), _ANYTHING, _ANYTHING)
-        if len(self._windows) >= MOST_WINDOWS and theirs not in self._windows:
+        if len(self._windows) >= LIMITS.windows and theirs not in self._windows:
             theirs = (_ANYTHING, _ANYTHING, _ANYTHING)
         return self._windows.get(theirs) or self._open(theirs, "crowded")
 
@@ -363,4 +351,4 @@ def _user(fold: Fold) -> str:
 
 
 def _cut(fold: Fold) -> Fold:
-    return fold[0], fold[1], fold[2][:_PLACE]
+    return fold[0], fold[1], fold[2][: LIMITS.place_characters]

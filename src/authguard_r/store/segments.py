@@ -29,6 +29,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.store.cells import Cells, blob, cells, first_row, held_value, store_error
 from authguard_r.store.folder import Folder
 from authguard_r.store.untrusted import ReadMeter, hold, in_order
+from authguard_r.wire.gate_limits import LIMITS
 
 #: Kind of what a store holds about its segments: each by its name, and where they end.
 SEGMENT, MARK = "segment", "mark"
@@ -40,8 +41,6 @@ CHECKPOINT, SEALED = "checkpoint", "sealed"
 SEGMENT_ID, SEGMENT_FORMAT = 0x41475331, 1
 #: The end of a name that is not given yet.
 PART = ".part"
-#: Segments that are kept open for reading.
-_MOST_OPEN = 4
 
 
 class Segment(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -243,7 +242,7 @@ class Segments:
         if found.segment != segment:
             connection.close()
             raise _fault(self.folder, segment, "is not the one that was sealed, or does not join")
-        while len(self._open) >= _MOST_OPEN:
+        while len(self._open) >= LIMITS.open_segments:
             self._open.pop(next(iter(self._open))).close()
         self._open[segment.name] = connection
         return connection

@@ -43,14 +43,12 @@ from authguard_r.store.segments import (
 )
 from authguard_r.store.turn import SqliteTurn
 from authguard_r.store.untrusted import ReadMeter, in_order, open_stranger
+from authguard_r.wire.gate_limits import LIMITS
 
 T = TypeVar("T")
 
 #: First SQLite without the WAL-reset corruption bug.
 _OLDEST_SQLITE = (3, 51, 3)
-_MAX_BATCH = 64
-#: Rows that are held at a time of a file that anybody may have made.
-_STRANGE = 16
 
 
 class _Ticket(Generic[T]):
@@ -181,7 +179,7 @@ class SqliteStore:
             self._connection.close()
 
     def _commit_batch(self) -> None:
-        batch = [self._pending.popleft() for _ in range(min(len(self._pending), _MAX_BATCH))]
+        batch = [self._pending.popleft() for _ in range(min(len(self._pending), LIMITS.batch))]
         try:
             self._commit_or_make_room(batch)
         except apsw.Error as error:
@@ -379,8 +377,8 @@ def _moved_rows(connection: apsw.Connection, segments: Segments) -> Iterator[Log
     left = read_forgets(connection)
     try:
         _require_copies(connection, segments)
-        for first in range(0, segments.end, _STRANGE):
-            end = min(first + _STRANGE, segments.end)
+        for first in range(0, segments.end, LIMITS.strange_rows):
+            end = min(first + LIMITS.strange_rows, segments.end)
             for seq, record, sealed, link in segments.rows(first, end):
                 yield LogRow(seq, record, left.get(seq, sealed), link)
     finally:

@@ -26,14 +26,13 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Standing
 from authguard_r.store.refusals import Fold, LogSealer, RecordBatch, RefusalPolicy, Refusals
+from authguard_r.wire.gate_limits import LIMITS
 
 T = TypeVar("T")
 #: Kind, key and value of something that the store holds.
 Held = tuple[str, str, bytes]
 #: An operator's stop that stands, until a `resume` that was signed after it.
 STOP = ("stop", "operator")
-#: How far the wall clock may be behind the last committed time, in milliseconds.
-SKEW_MS = 2_000
 
 
 class ClockWatermark(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -121,7 +120,7 @@ class Ledger:
             ClockError: the wall clock is behind what was committed.
         """
         wall, mono = self._clock.wall_ms(), self.mono_ms()
-        if wall < self._high.utc_ms - SKEW_MS:
+        if wall < self._high.utc_ms - LIMITS.skew_ms:
             self._behind = True
             raise ClockError(
                 f"the wall clock is {self._high.utc_ms - wall} ms behind the last committed time"

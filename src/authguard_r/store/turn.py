@@ -13,9 +13,7 @@ import apsw
 from authguard_r.audit.record import without
 from authguard_r.store.cells import cells, held_value
 from authguard_r.store.segments import FORGET, Segments, read_forgets
-
-#: Held values that are remembered beside the file.
-_MOST_KNOWN = 64
+from authguard_r.wire.gate_limits import LIMITS
 
 
 class SqliteTurn:
@@ -115,7 +113,7 @@ class SqliteTurn:
 
     def _know(self, place: tuple[str, str], value: bytes | None) -> None:
         """Keep what is held: the lock is exclusive, so nobody else can change it."""
-        if len(self._known) >= _MOST_KNOWN:
+        if len(self._known) >= LIMITS.known_values:
             self._known.clear()
         self._known[place] = value
 

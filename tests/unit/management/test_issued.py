@@ -26,7 +26,8 @@ from authguard_r.core.token import sign_object
 from authguard_r.enforcement.management.orders import carry_out
 from authguard_r.enforcement.report import Report
 from authguard_r.enforcement.signed_orders import Verb
-from authguard_r.store.issued_missions import MOST_ISSUED, damaged, issued, registered
+from authguard_r.store.issued_missions import damaged, issued, registered
+from authguard_r.wire.gate_limits import LIMITS
 from fixtures import scenarios, sealed_logs, templates
 from fixtures.restarting_gate import Station, go, signer
 
@@ -350,7 +351,7 @@ def test_an_update_by_somebody_else_is_not_taken_in() -> None:
 
 def test_a_bounded_number_of_missions_waits() -> None:
     here = Station()
-    for number in range(MOST_ISSUED):
+    for number in range(LIMITS.issued_missions):
         hand_in(here, mission(f"m-{number}"))
     reason, text = refused(hand_in, here, mission("more"))
     assert reason == "BUSY"
@@ -358,7 +359,7 @@ def test_a_bounded_number_of_missions_waits() -> None:
     assert activate(here, mission("more")).status == "active"  # it does not wait
     here.gate.management.command(here.order(mission("m-0"), Verb.REVOKE))
     hand_in(here, mission("next"))
-    assert len(waiting(here)) == MOST_ISSUED
+    assert len(waiting(here)) == LIMITS.issued_missions
 
 
 def test_a_damaged_issued_mission_keeps_nobody_from_an_order() -> None:

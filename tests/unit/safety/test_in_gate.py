@@ -11,7 +11,8 @@ import pytest
 
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.safety import ExternalChecker, Rule, SafetyConfig, default_config
-from authguard_r.server.process import ASKED_MS, Rendezvous
+from authguard_r.server.process import Rendezvous
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import ClientRole
 from fixtures import estop_fixtures, scenarios
 from unit.server.demo_site import SCAN
@@ -51,7 +52,7 @@ def test_a_gate_and_its_what_ifs_go_by_what_was_released() -> None:
         (
             {
                 "checker": ExternalChecker(
-                    id="slow", socket="/run/checker.sock", timeout_ms=ASKED_MS + 1
+                    id="slow", socket="/run/checker.sock", timeout_ms=LIMITS.safety_ms + 1
                 )
             },
             EnvironmentFault,

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
+from authguard_r.anchoring.sealing import sealer as sealing
 from authguard_r.anchoring.sealing.key_ring import KeyRing
 from authguard_r.anchoring.sealing.policy import SealingPolicy
 from authguard_r.anchoring.sealing.sealer import Sealer
@@ -28,6 +29,7 @@ from authguard_r.store.memory import MemoryStore
 from authguard_r.store.sqlite import open_store
 from authguard_r.store.transactions import Transaction
 from fixtures import scenarios, sealed_logs
+from fixtures.limits import bounded
 
 SCAN = scenarios.navigate("dock", "pharmacy")
 
@@ -130,7 +132,7 @@ def test_what_was_not_committed_was_told_to_nobody_and_seals_nothing(path: Path)
 def test_few_keys_are_in_memory_and_a_mission_that_comes_back_has_new_ones(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("authguard_r.anchoring.sealing.sealer._MOST_COVERS", 4)
+    bounded(monkeypatch, sealing, covers=4)
     store, sealer = MemoryStore(), Sealer(scenarios.RID, sealed_logs.policy())
     store.run(lambda turn: here(turn, *"abcdef"))
     for mid in ("a", "b", "c", "d", "a", "e", "f", "b"):

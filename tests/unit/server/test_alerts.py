@@ -19,8 +19,8 @@ from authguard_r.core.mission import Mission
 from authguard_r.core.standing import Outcome
 from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.server import retention
-from authguard_r.server.remote_controller import EXPLAIN_WITHIN_MS
 from authguard_r.sim.robot import Faults
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import ClientRole, Kind, Mode, Order, OrderKind
 from fixtures import scenarios
 from unit.server.demo_site import FORBIDDEN, GO, SCAN, Guest, House
@@ -124,7 +124,9 @@ def test_a_row_begins_anew_after_a_resume() -> None:
         assert shown(house, "no progress") == [True]
         house.propose(client, FORBIDDEN)
         assert shown(house, "no progress") == [True, False]
-        house.advance(EXPLAIN_WITHIN_MS)  # why the gate has stopped the robot is known by then
+        house.advance(
+            LIMITS.explain_within_ms
+        )  # why the gate has stopped the robot is known by then
         house.propose(client, SCAN)
         assert shown(house, "no progress") == [True, True]
 

@@ -7,8 +7,9 @@ import json
 from typing import Any
 
 from authguard_r.core.identifiers import Identifier
-from authguard_r.server.fair_queue import MOST_SHED, MOST_WAITING, FairQueue, ServedClient
+from authguard_r.server.fair_queue import FairQueue, ServedClient
 from authguard_r.wire.frames import Frame, FrameReader
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import ClientRole, Fault, Kind
 
 
@@ -119,7 +120,7 @@ def test_a_proposal_of_a_client_that_is_gone_is_shed_without_an_answer() -> None
 def test_after_many_shed_in_a_row_nothing_is_read_until_the_answer() -> None:
     turns, (one, line) = ring(), client()
     turns.came(one, ask(0, Kind.PROPOSE))
-    for number in range(1, MOST_SHED + 1):
+    for number in range(1, LIMITS.shed_proposals + 1):
         assert not line.is_paused
         turns.came(one, ask(number, Kind.PROPOSE))
     assert line.is_paused
@@ -132,7 +133,7 @@ def test_after_many_shed_in_a_row_nothing_is_read_until_the_answer() -> None:
 
 def test_a_client_with_enough_waiting_is_not_read_until_it_was_served() -> None:
     turns, (one, line) = ring(), client()
-    for number in range(MOST_WAITING):
+    for number in range(LIMITS.waiting_requests):
         assert not line.is_paused
         turns.came(one, ask(number))
     assert line.is_paused

@@ -13,10 +13,10 @@ from authguard_r.core.approval import Approval, ApprovalVerdict
 from authguard_r.core.encoding import Tag, b64, digest_of, encode_fast
 from authguard_r.core.token import sign_object
 from authguard_r.enforcement.signed_orders import Verb
-from authguard_r.server.plans import PART
 from authguard_r.server.queries import GateQueries
 from authguard_r.sim.robot import snapshot_of
 from authguard_r.wire.frames import Frame, raw_frame
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import (
     Attest,
     Begun,
@@ -302,7 +302,14 @@ def turns(house: House, guest: Guest, *asked: tuple[Kind, object]) -> int:
 
 
 @pytest.mark.parametrize(
-    ("length", "parts"), [(0, 1), (1, 1), (PART, 1), (PART + 1, 2), (20 * PART, 20)]
+    ("length", "parts"),
+    [
+        (0, 1),
+        (1, 1),
+        (LIMITS.part_characters, 1),
+        (LIMITS.part_characters + 1, 2),
+        (20 * LIMITS.part_characters, 20),
+    ],
 )
 def test_a_text_is_looked_through_in_parts_and_answered_once(length: int, parts: int) -> None:
     with House(robot=False, estimator=False) as house:
@@ -316,7 +323,7 @@ def test_what_a_planner_asked_since_waits_until_its_text_was_looked_through() ->
     with House() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
-        text = "x" * (5 * PART - 8) + " Office 1 "  # over a border, at the end
+        text = "x" * (5 * LIMITS.part_characters - 8) + " Office 1 "  # over a border, at the end
         seen = Observe(channel="user", text=text)
         asked = Propose(key="k", plan=FORBIDDEN)
         turns(house, planner, (Kind.OBSERVE, seen), (Kind.PROPOSE, asked))
@@ -331,7 +338,10 @@ def test_what_a_planner_asked_since_waits_until_its_text_was_looked_through() ->
 def test_others_have_their_turns_between_the_parts_of_a_long_text() -> None:
     with House(robot=False, estimator=False) as house:
         planner, auditor = house.enter(ClientRole.PLANNER), house.enter(ClientRole.AUDITOR)
-        service, long = house.service, Observe(channel="user", text="x" * (30 * PART))
+        service, long = (
+            house.service,
+            Observe(channel="user", text="x" * (30 * LIMITS.part_characters)),
+        )
         served: list[int] = []
 
         def serve() -> None:
@@ -352,7 +362,7 @@ def test_who_hangs_up_while_its_text_is_looked_through_has_been_shown_all_of_it(
     with House() as house:
         planner = house.enter(ClientRole.PLANNER)
         client = house.client(planner)
-        seen = Observe(channel="user", text="x" * (5 * PART) + " Office 1 ")
+        seen = Observe(channel="user", text="x" * (5 * LIMITS.part_characters) + " Office 1 ")
 
         def go() -> None:
             house.service._queue.came(client, Frame(Kind.OBSERVE, 101, encode_fast(seen)))

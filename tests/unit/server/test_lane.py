@@ -17,21 +17,14 @@ from authguard_r.access.gate_config import Peer as Named
 from authguard_r.access.peers import OVERFLOW_UID
 from authguard_r.client.handshake import Greeting, require_welcome
 from authguard_r.core.quantities import Now
-from authguard_r.estop.protocol import (
-    MAX_GATE_OUT,
-    MAX_OUT,
-    MOST_PEERS,
-    WHOLE_WITHIN_MS,
-    Dropped,
-    EStopDispatcher,
-    EStopPeer,
-)
-from authguard_r.estop.stop_queue import FIRST_WINDOW, MOST_FIRST, WINDOW, Backlog
-from authguard_r.estop.stops import PATIENCE_MS, REPEAT_MS, ControllerConnection, Stops
+from authguard_r.estop.protocol import Dropped, EStopDispatcher, EStopPeer
+from authguard_r.estop.stop_queue import Backlog
+from authguard_r.estop.stops import ControllerConnection, Stops
 from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.frames import FrameReader, frame, raw_frame, read_body
 from authguard_r.wire.messages import PROTOCOL, ClientRole, Kind, Stood, StopHeard, Welcome
+from authguard_r.wire.stop_limits import LIMITS
 from fixtures import estop_fixtures, scenarios
 from fixtures.cases import case
 
@@ -186,20 +179,20 @@ def test_a_controller_that_never_stands_is_told_again_and_the_stop_is_answered_i
     robot, planner = world.robot(), world.planner()
     world.stop(planner)
     assert halts(robot) == [1]
-    world.later(REPEAT_MS - 1)
+    world.later(LIMITS.halt_again_ms - 1)
     assert halts(robot) == []
     world.later(1)
     assert halts(robot) == [1]
-    world.later(PATIENCE_MS - REPEAT_MS - 1)
+    world.later(LIMITS.stop_answer_ms - LIMITS.halt_again_ms - 1)
     assert said(planner) == []
     world.later(1)
-    assert said(planner) == [(Kind.REPLY, 1, reply(False, True, PATIENCE_MS))]
+    assert said(planner) == [(Kind.REPLY, 1, reply(False, True, LIMITS.stop_answer_ms))]
     assert halts(robot) == [1]
-    world.later(REPEAT_MS)
+    world.later(LIMITS.halt_again_ms)
     assert halts(robot) == [1]
     assert world.desk.is_lively
     world.stand(robot, 1)
-    world.later(REPEAT_MS)
+    world.later(LIMITS.halt_again_ms)
     assert halts(robot) == []
     assert not world.desk.is_lively
 
@@ -209,7 +202,7 @@ def test_halts_do_not_heap_up_for_a_controller_that_does_not_read() -> None:
     robot, planner = world.robot(), world.planner()
     world.stop(planner)
     for _ in range(50):
-        world.later(REPEAT_MS)
+        world.later(LIMITS.halt_again_ms)
     assert halts(robot) == [1]
 
 
@@ -333,7 +326,7 @@ def test_every_stop_is_answered_once_in_order_and_confirmed_only_by_a_later_halt
         elif step == "dies" and not brake.is_gone:
             stops.leave(brake)
         over += stops.settled(now)
-    over += stops.settled(now + PATIENCE_MS)
+    over += stops.settled(now + LIMITS.stop_answer_ms)
     assert [settled.asked for settled in over] == list(range(made))
     for settled in over:
         if settled.stopped:
@@ -388,8 +381,8 @@ def test_connections_of_one_user_are_bounded_and_the_others_have_theirs() -> Non
 
 
 def test_connections_of_all_users_together_are_bounded() -> None:
-    world = World(msgspec.structs.replace(CONFIG, connections=MOST_PEERS * 2))
-    assert not any(world.open(PLANNER).is_ending for _ in range(MOST_PEERS))
+    world = World(msgspec.structs.replace(CONFIG, connections=LIMITS.connections * 2))
+    assert not any(world.open(PLANNER).is_ending for _ in range(LIMITS.connections))
     assert world.open(DRIVER).is_ending
 
 
@@ -449,7 +442,7 @@ def test_a_connection_that_says_no_hello_in_time_is_ended() -> None:
     world = World()
     silent, half = world.open(PLANNER), world.open(PLANNER)
     world.desk.received(half, b"\0\0", world.now)
-    world.later(WHOLE_WITHIN_MS - 1)
+    world.later(LIMITS.whole_within_ms - 1)
     world.desk.received(half, b"\0", world.now)
     assert not silent.is_ending
     world.later(1)
@@ -461,12 +454,12 @@ def test_a_message_that_begins_and_does_not_end_ends_its_connection_and_silence_
     half, silent = world.planner("half"), world.planner("silent")
     whole = frame(Kind.STOP, 1, {"why": "slow"})
     world.desk.received(half, whole[:5], world.now)
-    world.later(WHOLE_WITHIN_MS - 1)
+    world.later(LIMITS.whole_within_ms - 1)
     world.desk.received(half, whole[5:6], world.now)
     world.desk.received(half, whole[6:], world.now)
     assert said(half)[0][0] is Kind.REPLY
     world.desk.received(half, whole[:5], world.now)
-    world.later(WHOLE_WITHIN_MS)
+    world.later(LIMITS.whole_within_ms)
     assert code(half) == ("MALFORMED", "frame")
     world.later(3_600_000)
     assert not silent.is_ending
@@ -475,11 +468,11 @@ def test_a_message_that_begins_and_does_not_end_ends_its_connection_and_silence_
 def test_a_client_that_does_not_read_is_ended_and_holds_a_bounded_heap() -> None:
     world = World()
     deaf = world.planner()
-    for number in range(MAX_OUT):
+    for number in range(LIMITS.unread_bytes):
         world.stop(deaf, number)
         if deaf.is_ending:
             break
-    assert len(deaf.out) <= MAX_OUT + 512
+    assert len(deaf.out) <= LIMITS.unread_bytes + 512
     assert code(deaf) == ("BUSY", "connection")
     assert world.journal.next_n > 100
 
@@ -544,17 +537,17 @@ def test_the_gate_hears_of_every_stop_in_order_and_what_it_recorded_is_forgotten
 def test_stops_made_while_no_gate_runs_are_told_to_the_next_one_again_and_again() -> None:
     world = World()
     planner = world.planner()
-    for _ in range(WINDOW + 5):
+    for _ in range(LIMITS.window + 5):
         world.stop(planner)
     first = gate(world)
-    assert told(first) == list(range(1, WINDOW + 1))
+    assert told(first) == list(range(1, LIMITS.window + 1))
     world.desk.close(first, world.now)
     assert not world.desk.has_gate
     second = gate(world)
-    assert told(second) == list(range(1, WINDOW + 1))
+    assert told(second) == list(range(1, LIMITS.window + 1))
     world.say(second, Kind.HEARD, {"n": 7})
     ((_, _, folded),) = said(second)
-    assert (folded["n"], folded["more"]) == (WINDOW + 1, 4)
+    assert (folded["n"], folded["more"]) == (LIMITS.window + 1, 4)
 
 
 def test_a_new_gate_takes_the_place_of_one_that_hangs() -> None:
@@ -590,8 +583,8 @@ def test_an_operator_s_stop_among_a_hundred_thousand_of_planners_is_sent_first()
     assert [stop.n for stop in journal.first.to_spool()] == [50_000]
     sent = journal.to_send()
     assert sent[0].n == 50_000
-    assert len(sent) == 1 + WINDOW
-    assert len(journal) == 1 + WINDOW + 3
+    assert len(sent) == 1 + LIMITS.window
+    assert len(journal) == 1 + LIMITS.window + 3
     counted = 0
     while sent:
         counted += sum(1 + stop.more for stop in sent)
@@ -603,61 +596,71 @@ def test_an_operator_s_stop_among_a_hundred_thousand_of_planners_is_sent_first()
 def test_an_operator_s_stop_is_sent_although_the_others_fill_their_window() -> None:
     world = World()
     listening, planner = gate(world), world.planner()
-    for _ in range(WINDOW + 9):
+    for _ in range(LIMITS.window + 9):
         world.stop(planner)
-    assert len(told(listening)) == WINDOW
+    assert len(told(listening)) == LIMITS.window
     world.stop(world.join(ME, ClientRole.OPERATOR))
-    assert told(listening) == [WINDOW + 10]
+    assert told(listening) == [LIMITS.window + 10]
 
 
 def test_no_other_stop_is_sent_before_every_operator_s_is() -> None:
     journal = Backlog(EPOCH)
     journal.add(heard(1))
-    for n in range(2, FIRST_WINDOW + 4):
+    for n in range(2, LIMITS.first_window + 4):
         journal.add(heard(n, role=ClientRole.OPERATOR))
-    assert [stop.n for stop in journal.to_send()] == list(range(2, FIRST_WINDOW + 2))
+    assert [stop.n for stop in journal.to_send()] == list(range(2, LIMITS.first_window + 2))
     assert not journal.is_told
-    assert not journal.heard(FIRST_WINDOW + 2)  # never sent
+    assert not journal.heard(LIMITS.first_window + 2)  # never sent
     assert not journal.heard(1)
     assert journal.heard(2)
-    assert [stop.n for stop in journal.to_send()] == [FIRST_WINDOW + 2]
+    assert [stop.n for stop in journal.to_send()] == [LIMITS.first_window + 2]
     assert journal.heard(4)
-    assert [stop.n for stop in journal.to_send()] == [FIRST_WINDOW + 3, 1]
+    assert [stop.n for stop in journal.to_send()] == [LIMITS.first_window + 3, 1]
     assert journal.is_told
 
 
 def test_operators_stops_beyond_what_can_be_kept_are_counted_with_an_operator_s() -> None:
-    known = (heard(n, role=ClientRole.OPERATOR) for n in range(1, MOST_FIRST + 3))
+    known = (heard(n, role=ClientRole.OPERATOR) for n in range(1, LIMITS.first_stops + 3))
     journal = Backlog(EPOCH, tuple(known))
-    assert len(journal) == MOST_FIRST
+    assert len(journal) == LIMITS.first_stops
     journal.add(heard(journal.next_n, role=ClientRole.OPERATOR))
-    assert [(stop.n, stop.more) for stop in journal.first.to_spool()] == [(MOST_FIRST, 3)]
+    assert [(stop.n, stop.more) for stop in journal.first.to_spool()] == [(LIMITS.first_stops, 3)]
 
 
 def test_what_is_folded_says_what_is_true_of_all_and_is_not_changed_once_it_was_sent() -> None:
     journal = Backlog(EPOCH)
-    for n in range(1, WINDOW + 1):
+    for n in range(1, LIMITS.window + 1):
         journal.add(heard(n))
     add = [(5, 7), (9, 8), (4, None), (None, None), (3, 9)]
     for stood_ms, stops in add[:2]:
         journal.add(heard(journal.next_n, stood_ms=stood_ms, stops=stops, life=1))
-    (folded,) = journal.others.to_spool()[WINDOW:]
-    assert (folded.n, folded.more, folded.stood_ms, folded.stops) == (WINDOW + 1, 1, 9, 8)
+    (folded,) = journal.others.to_spool()[LIMITS.window :]
+    assert (folded.n, folded.more, folded.stood_ms, folded.stops) == (
+        LIMITS.window + 1,
+        1,
+        9,
+        8,
+    )
     for stood_ms, stops in add[2:]:
         journal.add(heard(journal.next_n, stood_ms=stood_ms, stops=stops, life=(stops and 2) or 0))
     journal.to_send()
     journal.heard(1)
     (folded,) = journal.to_send()
-    assert (folded.n, folded.more, folded.stood_ms, folded.stops) == (WINDOW + 1, 4, None, 9)
+    assert (folded.n, folded.more, folded.stood_ms, folded.stops) == (
+        LIMITS.window + 1,
+        4,
+        None,
+        9,
+    )
     assert folded.life == 2  # of the count that is said, whatever else was folded
     journal.begin()  # another gate: it may know this one under its name
     journal.add(heard(journal.next_n))
-    assert journal.others.to_spool()[-1].n == WINDOW + 6
+    assert journal.others.to_spool()[-1].n == LIMITS.window + 6
 
 
 def test_a_new_lane_counts_each_stop_that_it_was_left_once() -> None:
     old = Backlog(1)
-    for n in range(1, WINDOW + 10):
+    for n in range(1, LIMITS.window + 10):
         old.add(heard(n))
     left = tuple(old.others.to_spool())
     new = Backlog(2, left)
@@ -666,7 +669,7 @@ def test_a_new_lane_counts_each_stop_that_it_was_left_once() -> None:
     new.add(heard(new.next_n, epoch=2))
     assert [(stop.epoch, stop.more) for stop in new.others.to_spool()] == [(2, 1)]
     again = Backlog(3, (*left, *new.others.to_spool()))
-    assert sum(1 + stop.more for stop in sent_by(again)) == WINDOW + 11
+    assert sum(1 + stop.more for stop in sent_by(again)) == LIMITS.window + 11
 
 
 def sent_by(journal: Backlog) -> list[StopHeard]:
@@ -745,15 +748,17 @@ def test_a_sync_waits_for_the_stops_that_came_before_it_and_for_none_that_came_l
     assert [kind for kind, _, _ in said(listening)] == [Kind.WELCOME]
     world.stand(robot, 1)
     assert [(kind, n) for kind, n, _ in said(listening)] == [(Kind.EVENT, 0), (Kind.REPLY, 1)]
-    world.later(PATIENCE_MS)  # nobody confirms the other one: it does not hold up the gate for ever
+    world.later(
+        LIMITS.stop_answer_ms
+    )  # nobody confirms the other one: it does not hold up the gate for ever
     assert [(kind, n) for kind, n, _ in said(listening)] == [(Kind.EVENT, 0), (Kind.REPLY, 2)]
 
 
 def test_a_sync_waits_until_every_operator_s_stop_was_sent() -> None:
-    known = tuple(heard(n, role=ClientRole.OPERATOR) for n in range(1, FIRST_WINDOW + 2))
+    known = tuple(heard(n, role=ClientRole.OPERATOR) for n in range(1, LIMITS.first_window + 2))
     world = World(journal=Backlog(EPOCH, known))
     listening = gate(world)
-    assert len(told(listening)) == FIRST_WINDOW
+    assert len(told(listening)) == LIMITS.first_window
     world.say(listening, Kind.SYNC, {}, 1)
     assert replies(listening) == []
     world.say(listening, Kind.HEARD, {"n": 1})
@@ -783,15 +788,15 @@ def test_a_gate_that_is_not_welcomed_yet_has_no_answer() -> None:
 
 def test_the_gate_may_be_sent_more_at_once_than_a_client_and_has_a_bound_too() -> None:
     long = {"role": ClientRole.OPERATOR, "why": "\x01" * 200}
-    known = tuple(heard(n, **long) for n in range(1, FIRST_WINDOW + 1))
+    known = tuple(heard(n, **long) for n in range(1, LIMITS.first_window + 1))
     world = World(journal=Backlog(EPOCH, known))
     listening = gate(world)
-    assert MAX_OUT < len(listening.out) < MAX_GATE_OUT
+    assert LIMITS.unread_bytes < len(listening.out) < LIMITS.unread_gate_bytes
     number = 0
     while not listening.is_ending:
         number += 1
         world.say(listening, Kind.SYNC, {}, number)
-    assert len(listening.out) <= MAX_GATE_OUT + 512
+    assert len(listening.out) <= LIMITS.unread_gate_bytes + 512
 
 
 def heard(n: int, **changes: Any) -> StopHeard:

@@ -27,6 +27,7 @@ from authguard_r.estop.supervisor import EStopSupervisor
 from authguard_r.keys.signer import folder_signer
 from authguard_r.wire.messages import ClientRole, StopHeard
 from fixtures import estop_fixtures, scenarios
+from fixtures.limits import bounded
 from unit.server.demo_site import PATIENCE_S
 
 
@@ -140,7 +141,9 @@ def test_the_lane_is_told_that_a_stop_was_heard_only_when_it_has_taken_its_effec
         await until(lambda: listener.connections)
         await asyncio.to_thread(stop, files, "one")
         await until(lambda: listener.stops)
-        await asyncio.sleep(3 * lane_keeper.HEARD_S)  # several times it could have been said
+        await asyncio.sleep(
+            3 * lane_keeper.LIMITS.stop_heard_s
+        )  # several times it could have been said
 
     async def nothing(listener: Listener) -> None:
         await until(lambda: listener.connections)
@@ -159,9 +162,11 @@ async def owed_again(listener: Listener) -> None:
     """Let a gate that comes after hear of it, and settle it later."""
     listener.settled = False
     await until(lambda: listener.stops)
-    await asyncio.sleep(2 * lane_keeper.HEARD_S)
+    await asyncio.sleep(2 * lane_keeper.LIMITS.stop_heard_s)
     listener.settled = True
-    await asyncio.sleep(2 * lane_keeper.HEARD_S)  # at the latest when it lets go, it is said
+    await asyncio.sleep(
+        2 * lane_keeper.LIMITS.stop_heard_s
+    )  # at the latest when it lets go, it is said
 
 
 def test_a_lane_that_serves_answers_that_everything_was_told_and_none_is_nobody_to_ask(
@@ -189,7 +194,7 @@ def test_a_lane_that_hangs_is_told_of_once_and_is_there_again_when_it_answers(
     files: EStopFiles, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A process that is held stays connected: nobody could stop by it, and nobody would know."""
-    monkeypatch.setattr(lane_keeper, "REPLACED", 1_000_000)
+    bounded(monkeypatch, lane_keeper, stop_replaced_looks=1_000_000)
     keeper = EStopSupervisor(files)
     assert not keeper.alive
     keeper.start()
@@ -200,7 +205,9 @@ def test_a_lane_that_hangs_is_told_of_once_and_is_there_again_when_it_answers(
         os.kill(lane_pid(files), signal.SIGSTOP)
         await until(lambda: listener.silences)
         seen.append(keeper.alive)
-        await asyncio.sleep(10 * lane_keeper.ASK_S)  # several times it could have been said again
+        await asyncio.sleep(
+            10 * lane_keeper.LIMITS.stop_ask_s
+        )  # several times it could have been said again
         os.kill(lane_pid(files), signal.SIGCONT)
         await until(lambda: keeper.alive and listener.answers == 2)  # at first, and again
         seen.append(listener.silences == 1)
@@ -277,7 +284,9 @@ def test_a_lane_that_cannot_record_a_stop_is_not_replaced(files: EStopFiles) -> 
         await until(lambda: listener.connections and keeper.alive)
         listener.settled = False
         os.kill(first, signal.SIGSTOP)
-        await asyncio.sleep(2 * lane_keeper.REPLACED * lane_keeper.ASK_S)
+        await asyncio.sleep(
+            2 * lane_keeper.LIMITS.stop_replaced_looks * lane_keeper.LIMITS.stop_ask_s
+        )
         listener.settled = True
         os.kill(first, signal.SIGCONT)
         await until(lambda: keeper.alive)
@@ -312,7 +321,7 @@ def test_a_lane_of_a_gate_that_was_killed_is_adopted_and_ends_with_the_next(
 def test_a_lane_that_hangs_at_the_end_is_left_behind_no_more_than_one_that_serves(
     files: EStopFiles, number: signal.Signals, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(lane_place, "_END_S", 0.5)
+    bounded(monkeypatch, lane_place, end_s=0.5)
     keeper = EStopSupervisor(files)
     keeper.start()
     pid = lane_pid(files)
@@ -332,7 +341,7 @@ def test_a_lane_that_was_started_by_hand_serves_on(files: EStopFiles) -> None:
 def test_a_lane_that_cannot_be_started_is_tried_again_and_the_gate_told(
     files: EStopFiles, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(lane_keeper, "RETRY_S", 0.01)
+    bounded(monkeypatch, lane_keeper, stop_retry_s=0.01)
     broken = msgspec.structs.replace(files, key=Path("/nowhere"))
     keeper = EStopSupervisor(broken)
     with pytest.raises(EnvironmentFault):
@@ -372,7 +381,7 @@ def test_a_lane_of_another_configuration_is_retired_and_one_of_this_started(
 def test_a_stale_lane_that_hangs_is_killed_and_another_one_serves(
     files: EStopFiles, config: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(lane_place, "_END_S", 0.5)
+    bounded(monkeypatch, lane_place, end_s=0.5)
     keeper = EStopSupervisor(files)
     keeper.start()
     place = files.run / lane_keeper.CONFIG
@@ -391,7 +400,7 @@ def test_a_stale_lane_that_does_not_end_is_a_fault(
     files: EStopFiles, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whose number nobody knows, nobody can end."""
-    monkeypatch.setattr(lane_place, "_END_S", 0.1)
+    bounded(monkeypatch, lane_place, end_s=0.1)
     keeper = EStopSupervisor(files)
     keeper.start()
     (files.run / lane_keeper.CONFIG).write_text("another")

@@ -30,8 +30,8 @@ from authguard_r.core.errors import (
     MalformedError,
 )
 from authguard_r.core.reasons import Reason
+from authguard_r.estop import connection
 from authguard_r.estop.connection import EStopConnection, start_lane
-from authguard_r.estop.protocol import MOST_PEERS
 from authguard_r.estop.run_folder import (
     EPOCH,
     FIRST_SPOOL,
@@ -42,8 +42,8 @@ from authguard_r.estop.run_folder import (
     leave_place,
     take_place,
 )
-from authguard_r.estop.server import ACCEPTS, EStopServer
-from authguard_r.estop.spool import MOST_SPOOLED, Spool, left_by, next_epoch
+from authguard_r.estop.server import EStopServer
+from authguard_r.estop.spool import Spool, left_by, next_epoch
 from authguard_r.estop.startup import (
     EStopReady,
     Favor,
@@ -52,11 +52,12 @@ from authguard_r.estop.startup import (
     run_lane,
     say_to_stderr,
 )
-from authguard_r.estop.stop_queue import BATCH
 from authguard_r.keys.signer import folder_signer
 from authguard_r.wire.frames import frame
 from authguard_r.wire.messages import PROTOCOL, SUSPENDING, ClientRole, Kind, StopHeard
+from authguard_r.wire.stop_limits import LIMITS
 from fixtures import estop_fixtures, scenarios
+from fixtures.limits import bounded
 
 FULL = "/dev/full"
 
@@ -158,7 +159,7 @@ def test_a_file_that_cannot_be_opened_is_done_without(run: Path) -> None:
 
 
 def test_the_file_does_not_grow_without_end(run: Path) -> None:
-    (run / SPOOL).write_bytes(msgspec.json.encode(stop(1)) + b"\n" + b"x" * MOST_SPOOLED)
+    (run / SPOOL).write_bytes(msgspec.json.encode(stop(1)) + b"\n" + b"x" * LIMITS.spool_bytes)
     spool = Spool(run / SPOOL)
     assert [known.n for known in spool.known] == [1]
     fill = [stop(n, "x" * 200) for n in range(2, 30_000)]
@@ -382,14 +383,14 @@ def test_a_disk_that_takes_nothing_delays_no_stop_and_is_asked_seldom(run: Path)
 
 def test_more_stops_than_one_write_takes_are_written_in_order(run: Path) -> None:
     with turning(run) as lane:
-        for number in range(1, BATCH * 2 + 1):
+        for number in range(1, LIMITS.batch * 2 + 1):
             lane.journal.others.keep(stop(number), is_fresh=True)
-            lane.journal.first.keep(stop(BATCH * 2 + number), is_fresh=True)
+            lane.journal.first.keep(stop(LIMITS.batch * 2 + number), is_fresh=True)
         lane._turn()
-        assert [line["n"] for line in spooled(run)] == list(range(1, BATCH + 1))
-        assert len(spooled(run, FIRST_SPOOL)) == BATCH * 2  # an operator's waits for nothing
+        assert [line["n"] for line in spooled(run)] == list(range(1, LIMITS.batch + 1))
+        assert len(spooled(run, FIRST_SPOOL)) == LIMITS.batch * 2  # an operator's waits for nothing
         lane._turn()
-        assert [line["n"] for line in spooled(run)] == list(range(1, BATCH * 2 + 1))
+        assert [line["n"] for line in spooled(run)] == list(range(1, LIMITS.batch * 2 + 1))
 
 
 def test_an_operator_s_stop_is_in_a_file_that_no_flood_fills_and_the_next_lane_has_it(
@@ -493,7 +494,7 @@ def test_a_client_that_was_ended_in_this_turn_is_not_served_in_it(run: Path) -> 
 def test_a_flood_of_connections_is_taken_in_few_turns_with_others_in_between(run: Path) -> None:
     with turning(run) as lane, selectors.DefaultSelector() as selector:
         selector.register(lane._listener, selectors.EVENT_READ)
-        lines = estop_fixtures.many(run, ACCEPTS + 5)
+        lines = estop_fixtures.many(run, LIMITS.accepted_at_once + 5)
         lane._turn()
         assert selector.select(0)
         lane._turn()
@@ -560,7 +561,7 @@ def test_a_flood_of_connections_gets_what_one_user_may_have(run: Path) -> None:
         assert client.stop()["controller"] is False
         for line in lines:
             line.close()
-    assert MOST_PEERS > 200
+    assert LIMITS.connections > 200
 
 
 # beginning and end
@@ -782,7 +783,7 @@ def test_an_answer_that_nobody_asked_for_ends_the_link(run: Path) -> None:
 
 
 def test_a_gate_whose_lane_takes_nobody_says_so(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("authguard_r.estop.connection.CONNECT_S", 0.05)
+    bounded(monkeypatch, connection, stop_connect_s=0.05)
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     listener.bind(str(run / SOCKET))
     listener.listen(0)

@@ -14,8 +14,9 @@ from authguard_r.core.identifiers import Identifier
 from authguard_r.core.lifecycle import Status
 from authguard_r.core.reasons import Reason
 from authguard_r.enforcement.report import Refusal, Report
-from authguard_r.server.liveness import _COUNTED, _SHOWN, Liveness, MissionPhase
+from authguard_r.server.liveness import Liveness, MissionPhase
 from authguard_r.sim.robot import Faults
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import ClientRole
 from fixtures import scenarios
 from unit.server.demo_site import HandClock
@@ -270,15 +271,15 @@ def test_one_users_refusals_are_its_own_under_whatever_name() -> None:
 
 def test_what_is_counted_is_bounded_and_so_is_what_is_shown() -> None:
     bench = Bench(refusals=2)
-    for number in range(_COUNTED):  # each is counted as a client and as a user
+    for number in range(LIMITS.counted_users):  # each is counted as a client and as a user
         assert bench.liveness.judge(Identifier(f"u{number}.p"), REFUSED) is False
-    assert len(bench.liveness._refused) == _COUNTED
-    oldest, newest = Identifier("u0.p"), Identifier(f"u{_COUNTED - 1}.p")
+    assert len(bench.liveness._refused) == LIMITS.counted_users
+    oldest, newest = Identifier("u0.p"), Identifier(f"u{LIMITS.counted_users - 1}.p")
     assert bench.liveness.judge(oldest, REFUSED) is False  # it was forgotten
     assert bench.liveness.judge(newest, REFUSED) is True
-    for _ in range(_SHOWN + 5):
+    for _ in range(LIMITS.shown_alerts + 5):
         bench.liveness.alert("x", {})
-    assert len(bench.liveness.alerts) == _SHOWN
+    assert len(bench.liveness.alerts) == LIMITS.shown_alerts
 
 
 @pytest.mark.parametrize("active", [True, False])

@@ -12,7 +12,8 @@ from typing import Any
 import msgspec
 import pytest
 
-from authguard_r.server.event_log import COUNTS_MS, EventLog
+from authguard_r.server.event_log import EventLog
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.json_log import MOST_LINES
 from authguard_r.wire.messages import ClientRole, Kind
 from fixtures.estop_fixtures import until
@@ -128,6 +129,6 @@ def test_counts_are_told_when_they_changed_and_not_too_often(pipe: tuple[int, in
 
     assert msgspec.json.decode(told(0))["shed"] == 1
     counted["shed"] += 1
-    assert told(COUNTS_MS - 1) == b""
-    assert msgspec.json.decode(told(COUNTS_MS))["shed"] == 2
-    assert told(5 * COUNTS_MS) == b""
+    assert told(LIMITS.counts_ms - 1) == b""
+    assert msgspec.json.decode(told(LIMITS.counts_ms))["shed"] == 2
+    assert told(5 * LIMITS.counts_ms) == b""

@@ -17,11 +17,11 @@ from authguard_r.core.mission import OnRefusal
 from authguard_r.core.provenance import TRUST, Label
 from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.server import sessions
-from authguard_r.server.fair_queue import MOST_WAITING, ServedClient
-from authguard_r.server.plans import _MOST_CONTEXTS, _MOST_OF_USER
+from authguard_r.server.fair_queue import ServedClient
 from authguard_r.store.sqlite import open_store
 from authguard_r.wire.disclosure import Disclosure
 from authguard_r.wire.frames import raw_frame
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import (
     ClientRole,
     Evaluate,
@@ -33,6 +33,7 @@ from authguard_r.wire.messages import (
     Propose,
 )
 from fixtures import scenarios
+from fixtures.limits import bounded
 from unit.server.demo_site import FORBIDDEN, GO, PATIENCE_S, SCAN, UNREADABLE, Guest, House, Refused
 
 COLLECT = (scenarios.HOSPITAL / "replies" / "01-collect.json").read_bytes()
@@ -203,7 +204,7 @@ def test_a_planner_that_disconnects_gets_no_further_step_begun() -> None:
 def test_a_planner_that_goes_while_its_next_step_waits_gets_it_not_begun(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(sessions, "READ_S", PATIENCE_S)
+    bounded(monkeypatch, sessions, read_s=PATIENCE_S)
     with House(mode=Mode.SHADOW) as house:
         client = planner(house)
         house.activate()
@@ -344,7 +345,7 @@ def test_nobody_inputs_are_forgotten_for_one_more_planner() -> None:
     with House(robot=False, estimator=False, connections=8) as house:
         channel = "user"
         plans = house.service._dispatcher._plans
-        for number in range(_MOST_CONTEXTS - 1):  # of many users
+        for number in range(LIMITS.contexts - 1):  # of many users
             plans._contexts[Identifier(f"u{10**6 + number}.p")] = plans._empty()
         client = planner(house, "p0")
         client.ask(Kind.OBSERVE, Observe(channel=channel, text="Pharmacy"))
@@ -360,14 +361,14 @@ def test_nobody_inputs_are_forgotten_for_one_more_planner() -> None:
 def test_one_user_has_its_own_part_of_what_is_kept_and_no_more() -> None:
     with House(robot=False, estimator=False) as house:
         plans = house.service._dispatcher._plans
-        for number in range(_MOST_OF_USER):
+        for number in range(LIMITS.contexts_of_user):
             client = planner(house, f"p{number}")
             client.ask(Kind.OBSERVE, Observe(channel="user", text="Pharmacy"))
             client.leave()
         with pytest.raises(Refused) as refused:
             planner(house, "late").ask(Kind.OBSERVE, Observe(channel="user", text="Pharmacy"))
         assert (refused.value.code, refused.value.where) == ("BUSY", "observe")
-        assert len(plans._contexts) == _MOST_OF_USER
+        assert len(plans._contexts) == LIMITS.contexts_of_user
         line = house.client(house._guests[-1]).line
         other = ServedClient(line, role=ClientRole.PLANNER, name=Identifier("u99999.p"), uid=99_999)
         plans.observe(other, "user", "Pharmacy")  # another user's are noted all the same
@@ -387,7 +388,7 @@ def test_who_was_shown_something_that_could_not_be_noted_may_have_seen_anything(
     with House() as house:
         plans = house.service._dispatcher._plans
         uid = os.geteuid()
-        for number in range(_MOST_OF_USER):
+        for number in range(LIMITS.contexts_of_user):
             plans._contexts[Identifier(f"u{uid}.p{number}")] = plans._empty()
         unheard, silent = planner(house, "unheard"), planner(house, "silent")
         with pytest.raises(Refused):
@@ -403,7 +404,7 @@ def test_who_connects_anew_is_not_forgotten_to_have_seen_anything() -> None:
     with House() as house:
         plans = house.service._dispatcher._plans
         uid = os.geteuid()
-        for number in range(_MOST_OF_USER):
+        for number in range(LIMITS.contexts_of_user):
             plans._contexts[Identifier(f"u{uid}.p{number}")] = plans._empty()
         house.activate()
         for _ in range(2):
@@ -421,8 +422,8 @@ def test_more_names_than_are_kept_of_those_who_were_not_heard_are_their_whole_us
     with House() as house:
         plans = house.service._dispatcher._plans
         uid = os.geteuid()
-        plans._unheard.update(f"u{uid}.p{number}" for number in range(_MOST_OF_USER))
-        for number in range(_MOST_OF_USER):
+        plans._unheard.update(f"u{uid}.p{number}" for number in range(LIMITS.contexts_of_user))
+        for number in range(LIMITS.contexts_of_user):
             plans._contexts[Identifier(f"u{uid}.q{number}")] = plans._empty()
         house.activate()
         for name in ("one", "two"):
@@ -430,7 +431,7 @@ def test_more_names_than_are_kept_of_those_who_were_not_heard_are_their_whole_us
             with pytest.raises(Refused):
                 late.ask(Kind.OBSERVE, Observe(channel="user", text="Pharmacy"))
             late.leave()
-        assert len(plans._unheard) == _MOST_OF_USER + 1
+        assert len(plans._unheard) == LIMITS.contexts_of_user + 1
         house.propose(planner(house, "silent"), FORBIDDEN)
         (label,) = [record.open["labels"]["destination"] for record in house.log("decision")]
         assert label == TRUST[-1]
@@ -562,19 +563,19 @@ def test_a_planner_is_told_what_the_configuration_says(level: Disclosure) -> Non
 
 
 def test_eight_requests_wait_and_no_more_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sessions, "READ_S", PATIENCE_S)
+    bounded(monkeypatch, sessions, read_s=PATIENCE_S)
     with House() as house:
         client = planner(house)
         house.activate()
         line = house.client(client)
         house.do(line.line.pause_writing)
-        for number in range(MOST_WAITING + 2):
+        for number in range(LIMITS.waiting_requests + 2):
             house.send(
                 client, raw_frame(Kind.OBSERVE, number + 1, b'{"channel":"user","text":"x"}')
             )
-        assert (line.paused, len(line.waiting) >= MOST_WAITING) == (True, True)
+        assert (line.paused, len(line.waiting) >= LIMITS.waiting_requests) == (True, True)
         house.do(line.line.resume_writing)
-        assert len(client.bodies(Kind.REPLY)) == MOST_WAITING + 2
+        assert len(client.bodies(Kind.REPLY)) == LIMITS.waiting_requests + 2
         assert line.paused is False
 
 

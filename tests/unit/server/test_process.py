@@ -27,6 +27,7 @@ from authguard_r.estop.files import EStopFiles
 from authguard_r.keys.signer import folder_signer, gate_name
 from authguard_r.keys.trust import read_trust
 from authguard_r.safety import default_config as default_safety
+from authguard_r.server import service
 from authguard_r.server.parts import GateParts
 from authguard_r.server.process import SOCKET, Rendezvous, _Pace, run_gate
 from authguard_r.server.robot_lock import hold_robot, root_fingerprint
@@ -36,6 +37,7 @@ from authguard_r.store.clocks import SIMULATED
 from authguard_r.store.sqlite import read_rows
 from authguard_r.wire.messages import ClientRole, Mode
 from fixtures import estop_fixtures, scenarios
+from fixtures.limits import bounded
 from unit.server.demo_site import GO, PATIENCE_S, SCAN
 
 
@@ -133,7 +135,7 @@ def test_what_is_asked_of_a_simulation_is_asked_of_now(
     files: EStopFiles, journal: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A mission that begins now by its author's clock has begun, whenever anybody looked last."""
-    monkeypatch.setattr("authguard_r.server.service.LOOK_S", 10 * PATIENCE_S)
+    bounded(monkeypatch, service, look_s=10 * PATIENCE_S)
     made = parts(files, journal, simulated=robot())
 
     def work(told: Rendezvous) -> None:

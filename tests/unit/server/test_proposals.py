@@ -13,16 +13,11 @@ from authguard_r.core.identifiers import Digest, Identifier
 from authguard_r.core.reasons import Reason
 from authguard_r.enforcement.json_views import report_json
 from authguard_r.enforcement.report import Refusal, Report
-from authguard_r.server.proposals import (
-    _MOST_KNOWN,
-    Keeper,
-    ProposalAnswer,
-    ProposalRecord,
-    ProposalRegistry,
-)
+from authguard_r.server.proposals import Keeper, ProposalAnswer, ProposalRecord, ProposalRegistry
 from authguard_r.server.replayed_response import retold
 from authguard_r.store.transactions import Transaction
 from authguard_r.wire.disclosure import Disclosure
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import ClientRole
 from fixtures import scenarios
 from unit.server.demo_site import GO, SCAN, House
@@ -122,12 +117,12 @@ def test_a_record_that_is_gone_is_a_fault_of_the_store() -> None:
 
 def test_what_was_refused_is_remembered_for_a_while_and_no_more_than_that() -> None:
     proposals = ProposalRegistry(scenarios.simulation().gate.ledger, Disclosure.FULL)
-    for number in range(_MOST_KNOWN + 1):
+    for number in range(LIMITS.remembered_answers + 1):
         proposals.remember(CLIENT, f"k{number}", answered(REFUSED))
     assert proposals.recall(CLIENT, "k0", TWO) is None
     assert proposals.recall(CLIENT, "k1", ONE) == answered(REFUSED)
     with pytest.raises(RefusedError):
-        proposals.recall(CLIENT, f"k{_MOST_KNOWN}", TWO)
+        proposals.recall(CLIENT, f"k{LIMITS.remembered_answers}", TWO)
 
 
 def test_a_held_answer_that_is_damaged_is_a_fault_of_the_store_not_a_new_proposal() -> None:

@@ -21,14 +21,8 @@ import pytest
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault, MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize import Binder, Dialect, Plan, normalize
-from authguard_r.server.plan_reader import (
-    MOST_OF_USER,
-    MOST_WAITING,
-    SHORT,
-    PlanReader,
-    _serve,
-    read_plan,
-)
+from authguard_r.server.plan_reader import PlanReader, _serve, read_plan
+from authguard_r.wire.gate_limits import LIMITS
 from fixtures import scenarios
 from unit.server.demo_site import PATIENCE_S, SCAN
 
@@ -101,13 +95,13 @@ def run(work: Callable[[Desk], Awaitable[None]], **bounds: Any) -> None:
 
 
 def test_a_long_plan_read_elsewhere_says_what_it_says_here() -> None:
-    plans = [path.read_bytes() + b"\n" * SHORT for path in REPLIES]
+    plans = [path.read_bytes() + b"\n" * LIMITS.short_plan_bytes for path in REPLIES]
     plans += [SCAN + LONG, b"fly_to(" + LONG, b"\xff" * 5_000, b"[" * 20_000, b'"' * 5_000]
 
     async def work(desk: Desk) -> None:
         for count, data in enumerate(plans, 1):
             desk.read(data)
-            if count % MOST_WAITING == 0:
+            if count % LIMITS.long_plans == 0:
                 await desk.until(count)
         await desk.until(len(plans))
         for data, taken in zip(plans, desk.taken, strict=True):
@@ -246,25 +240,25 @@ def refuses(desk: Desk, *, uid: int | None = None) -> None:
 
 def test_one_user_keeps_only_two_long_plans_waiting_and_another_is_read() -> None:
     async def work(desk: Desk) -> None:
-        for _ in range(MOST_OF_USER):
+        for _ in range(LIMITS.long_plans_of_user):
             desk.read(SCAN + LONG, uid=1)
         refuses(desk, uid=1)
         desk.read(SCAN + LONG, uid=2)
-        await desk.until(MOST_OF_USER + 1)
+        await desk.until(LIMITS.long_plans_of_user + 1)
         assert all(isinstance(plan, Plan) for plan in desk.taken)
         desk.read(SCAN + LONG, uid=1)  # its turn has come and gone: there is place again
-        await desk.until(MOST_OF_USER + 2)
+        await desk.until(LIMITS.long_plans_of_user + 2)
 
     run(work)
 
 
 def test_no_more_than_sixteen_long_plans_wait_however_many_users_there_are() -> None:
     async def work(desk: Desk) -> None:
-        for _ in range(MOST_WAITING):
+        for _ in range(LIMITS.long_plans):
             desk.read(SCAN + LONG)
         refuses(desk)
-        assert len(desk.reader._queue) == MOST_WAITING == 16
-        await desk.until(MOST_WAITING)
+        assert len(desk.reader._queue) == LIMITS.long_plans == 16
+        await desk.until(LIMITS.long_plans)
         assert all(isinstance(plan, Plan) for plan in desk.taken)
 
     run(work)

@@ -18,15 +18,13 @@ from authguard_r.core.lease import Lease
 from authguard_r.core.provenance import Label
 from authguard_r.core.standing import Outcome, Spend
 from authguard_r.server.remote_controller import (
-    BEGIN_WITHIN_MS,
     DURATION,
-    EXPLAIN_WITHIN_MS,
-    SLACK_MS,
     RemoteController,
     ShadowController,
     longest_ms,
 )
 from authguard_r.sim.robot import Faults
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import PROTOCOL, Begun, ClientRole, Ended, Halt, Hello, Kind, Stood
 from fixtures import scenarios
 from unit.server.demo_site import GO, SCAN, HandClock, House, reasons
@@ -184,7 +182,7 @@ def test_an_action_whose_begin_nobody_confirms_is_doubted() -> None:
     bench = Bench()
     silent, begun = bench.dispatch(ONE), bench.dispatch(TWO)
     bench.remote.hear(Begun(ticket=TWO))
-    bench.clock.ms = BEGIN_WITHIN_MS
+    bench.clock.ms = LIMITS.begin_within_ms
     bench.remote.check()
     assert (silent.why(), begun.why()) == ("", "")
     bench.clock.ms += 1
@@ -228,7 +226,7 @@ def test_without_a_lane_to_ask_a_stop_is_known_when_it_was_told_of_or_had_time()
     assert bench.stops() == 0
     bench.remote.hear(Stood(stops=1, life=LIFE))
     assert bench.stops() == 0
-    bench.clock.ms = EXPLAIN_WITHIN_MS - 1
+    bench.clock.ms = LIMITS.explain_within_ms - 1
     assert bench.stops() == 0
     bench.clock.ms += 1
     assert bench.stops() == 1  # the controller's own: nobody else was to tell of it
@@ -237,7 +235,7 @@ def test_without_a_lane_to_ask_a_stop_is_known_when_it_was_told_of_or_had_time()
     assert bench.stops() == 2
     bench.remote.heard_of(LIFE, 1)
     bench.remote.hear(Stood(stops=2, life=LIFE))
-    bench.clock.ms += EXPLAIN_WITHIN_MS
+    bench.clock.ms += LIMITS.explain_within_ms
     assert bench.stops() == 2
 
 
@@ -247,7 +245,7 @@ def test_a_controller_that_reconnects_is_counted_from_zero() -> None:
     bench.remote.hear(Stood(stops=9, life=LIFE))
     bench.remote.detach()
     bench.attach()
-    bench.clock.ms += 10 * EXPLAIN_WITHIN_MS
+    bench.clock.ms += 10 * LIMITS.explain_within_ms
     assert bench.stops() == 0
 
 
@@ -256,7 +254,7 @@ def test_a_stop_is_named_only_by_the_word_of_a_lane_that_can_be_asked() -> None:
     asked = bench.tells()
     bench.remote.hear(Stood(stops=1, life=LIFE))
     assert len(asked) == 1  # at once
-    bench.clock.ms = 100 * EXPLAIN_WITHIN_MS  # it owes the gate ten thousand stops
+    bench.clock.ms = 100 * LIMITS.explain_within_ms  # it owes the gate ten thousand stops
     assert bench.stops() == 0
     assert len(asked) == 2  # and again with each dispatch: a connection may have been lost
     asked[1]()
@@ -287,7 +285,7 @@ def test_before_a_controller_has_said_which_start_it_is_no_count_is_its() -> Non
     bench.remote.heard_of(0, 7)
     assert (bench.stops(), bench.sent[-1][1].life) == (0, 0)
     bench.remote.hear(Stood(stops=1))  # it does not tell its starts apart
-    bench.clock.ms += EXPLAIN_WITHIN_MS
+    bench.clock.ms += LIMITS.explain_within_ms
     bench.remote.heard_of(0, 7)
     assert (bench.stops(), bench.sent[-1][1].life) == (0, 0)
 
@@ -322,14 +320,14 @@ def test_a_lane_that_is_gone_is_nobody_to_ask() -> None:
     bench.ask = lambda _: serves.pop(0)
     bench.remote.hear(Stood(stops=1, life=LIFE))
     assert bench.stops() == 0
-    bench.clock.ms += EXPLAIN_WITHIN_MS
+    bench.clock.ms += LIMITS.explain_within_ms
     assert bench.stops() == 1
     assert serves == []
 
 
 @pytest.mark.parametrize(
     ("lasts", "until", "expected"),
-    [(1_000, 60_000, 1_000 + SLACK_MS), (1_000, 1_200, 1_200), (1_000, 0, 0)],
+    [(1_000, 60_000, 1_000 + LIMITS.stream_slack_ms), (1_000, 1_200, 1_200), (1_000, 0, 0)],
 )
 def test_a_stream_lasts_no_longer_than_was_asked_for(lasts: int, until: int, expected: int) -> None:
     action = Action(type="drive", tool="base", params={"linear_mm_s": 1, DURATION: lasts})
@@ -424,7 +422,7 @@ def test_a_controller_that_says_nothing_is_told_to_stop_and_its_action_is_unknow
         silent = house.enter(ClientRole.CONTROLLER)
         house.activate()
         number = house.begin(planner, GO)
-        house.advance(BEGIN_WITHIN_MS)
+        house.advance(LIMITS.begin_within_ms)
         assert silent.bodies(Kind.HALT) == []
         house.advance(100)
         assert len(silent.bodies(Kind.HALT)) == 1

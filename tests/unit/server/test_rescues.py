@@ -32,6 +32,7 @@ from authguard_r.sim.robot import Faults
 from authguard_r.store.memory import MemoryStore
 from authguard_r.wire.messages import ClientRole, Emergency, Kind, Order, OrderKind
 from fixtures import emergency_policies, scenarios
+from fixtures.limits import bounded
 from unit.server.demo_site import GO, STEP_MS, Guest, HandClock, House, Refused
 
 HOUR_MS = 3_600_000
@@ -574,8 +575,7 @@ def test_a_gate_that_ends_begins_nothing_and_does_not_call_by_itself() -> None:
 
 
 def test_only_the_last_answers_and_users_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(emergencies, "_MOST_KEPT", 2)
-    monkeypatch.setattr(emergencies, "_MOST_COUNTED", 1)
+    bounded(monkeypatch, emergencies, emergency_answers=2, emergency_users=1)
     with Ward() as house:
         guest = planner(house)
         for key in ("a", "b", "c"):
@@ -633,7 +633,7 @@ def test_the_other_orders_leave_a_stop_standing() -> None:
 
 def test_one_clients_calls_push_out_nobody_elses_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     """Else a flood of refused calls would let an operator's key be carried out a second time."""
-    monkeypatch.setattr(emergencies, "_MOST_KEPT", 2)
+    bounded(monkeypatch, emergencies, emergency_answers=2)
     with Ward(at="station-103", speed_up=1) as house:
         person, liar = house.enter(ClientRole.OPERATOR, "nurse"), planner(house, "liar")
         number = house.begin_call(person, "go-safe", "mine")

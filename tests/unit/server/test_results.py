@@ -12,7 +12,7 @@ import pytest
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Digest
 from authguard_r.normalize.binding import Binding, require_sound
-from authguard_r.server.plans import _MOST_CONTEXTS
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import ClientRole, Kind, Result
 from fixtures import scenarios
 from unit.server.demo_site import GO, Guest, House, ticket_of
@@ -125,7 +125,7 @@ def test_a_planner_that_cannot_be_kept_apart_counts_as_having_seen_anything() ->
     with House(connections=8) as house:
         planner, number = setting_out(house)
         plans = house.service._dispatcher._plans
-        for other in range(_MOST_CONTEXTS):
+        for other in range(LIMITS.contexts):
             plans._contexts[msgspec.convert(f"u{10**6 + other}.p", str)] = plans._empty()  # type: ignore[index]
         brings(house, ticket_of(house), SIGN)
         house.rest(planner, number)

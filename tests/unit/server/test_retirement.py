@@ -19,7 +19,8 @@ from authguard_r.core.quantities import to_ms
 from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.operations.simulation import Simulation
 from authguard_r.server.liveness import Liveness
-from authguard_r.server.retention import EVERY_MS, STUCK, RetentionWork
+from authguard_r.server.retention import STUCK, RetentionWork
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import Mode
 from fixtures import scenarios, sealed_logs
 
@@ -94,7 +95,7 @@ def test_it_is_looked_once_a_minute(watched: Watched) -> None:
     put(watched, "sealing-expiry", mid, b"soon")
     watched.retirement._looked_ms = watched.sim.gate.ledger.mono_ms()
     watched.look()
-    watched.look(EVERY_MS - 1)
+    watched.look(LIMITS.retention_ms - 1)
     assert watched.told == []
     watched.look(1)
     assert watched.told == [{STUCK: {"missions": [mid]}}]
@@ -106,10 +107,10 @@ def test_a_mission_whose_time_nobody_can_say_is_told_once_and_when_it_is_over(
     mid = ripe(watched)
     put(watched, "sealing-expiry", mid, b"soon")
     for _ in range(3):
-        watched.look(EVERY_MS)
+        watched.look(LIMITS.retention_ms)
     assert (watched.told, watched.over) == ([{STUCK: {"missions": [mid]}}], [False])
     put(watched, "sealing-expiry", mid, b"1")
-    watched.look(EVERY_MS)
+    watched.look(LIMITS.retention_ms)
     assert (watched.ended, watched.over) == (1, [True])
 
 
@@ -125,7 +126,7 @@ def test_a_box_that_cannot_be_destroyed_is_told_beside_what_retention_says(
     watched.look()
     assert [alert[STUCK]["where"] for alert in watched.told] == ["store.sealing-policy"]
     put(watched, "sealing-policy", "due", f'["{mid}"]'.encode())
-    watched.look(EVERY_MS)
+    watched.look(LIMITS.retention_ms)
     watched.look()
     assert [alert[STUCK]["where"] for alert in watched.told][1:] == [f"store.audit.{seq}"]
     assert watched.over == [True, False]
@@ -136,13 +137,13 @@ def test_an_alert_is_over_when_everything_is(watched: Watched) -> None:
     lie = Entry(kind="stop", time_ms=1, decision="stop", open={}, sealed={"box.region": 1})
     watched.sim.gate.ledger.run(lambda act: append(act._page.turn, lie, salts=bytes(16)))
     for _ in range(3):
-        watched.look(EVERY_MS)
+        watched.look(LIMITS.retention_ms)
     assert watched.over == [False]
     put(watched, "sealing-policy", "due", b"?")
-    watched.look(EVERY_MS)
+    watched.look(LIMITS.retention_ms)
     assert watched.over == [False, False]
     put(watched, "sealing-policy", "due", f'["{mid}"]'.encode())
-    watched.look(EVERY_MS)
+    watched.look(LIMITS.retention_ms)
     assert watched.over == [False, False]  # the box still cannot be destroyed
 
 

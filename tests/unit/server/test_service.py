@@ -18,10 +18,10 @@ from authguard_r.core.token import open_token
 from authguard_r.enforcement.leases import quietly
 from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.keys.trust import read_trust
-from authguard_r.server.recovery import WITHIN_MS
 from authguard_r.store.memory import MemoryStore
 from authguard_r.store.sqlite import open_store
 from authguard_r.wire.frames import frame, raw_frame
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import (
     PROTOCOL,
     ClientRole,
@@ -144,7 +144,7 @@ def test_what_the_last_run_left_open_is_settled_before_anything_new(
             house.estimator = house.enter(ClientRole.ESTIMATOR)
             house.attest()
         else:
-            house.clock.ms += WITHIN_MS - 1
+            house.clock.ms += LIMITS.recovery_ms - 1
             house.do(house.service._listen)
             assert house.standing.status == "active"
             house.clock.ms += 1
@@ -171,7 +171,7 @@ def test_a_clock_behind_settles_nothing_and_is_tried_again(tmp_path: Path) -> No
     clock = unclean(tmp_path / "robot.db")
     clock.wrong_ms = -3_600_000
     with House(store=open_store(tmp_path / "robot.db"), clock=clock, robot=False) as house:
-        clock.ms += WITHIN_MS
+        clock.ms += LIMITS.recovery_ms
         house.do(house.service._listen)
         assert [alert["what"] for alert in house.service.liveness.alerts] == ["the clock is behind"]
         clock.wrong_ms = 0

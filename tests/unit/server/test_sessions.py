@@ -11,8 +11,9 @@ from functools import wraps
 from typing import Any
 
 from authguard_r.core.errors import ControllerError, MalformedError
-from authguard_r.server.sessions import FRAME_S, HELLO_S, READ_S, ServerSession
+from authguard_r.server.sessions import ServerSession
 from authguard_r.wire.frames import frame, raw_frame
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import ClientRole, Kind, Nothing, Observe
 from fixtures import frame_streams
 from fixtures.cases import case
@@ -59,7 +60,7 @@ async def test_a_hello_and_a_request_in_the_same_bytes_are_as_good_as_apart() ->
     await door.send(hello() + SEEN + SEEN[:5])
     assert [item.kind for item in await door.answers()] == [Kind.WELCOME]
     assert len(hall.requests) == 1
-    assert door.timers.waiting() == [FRAME_S]
+    assert door.timers.waiting() == [LIMITS.frame_s]
     door.close()
     await settle()
 
@@ -170,7 +171,7 @@ async def test_no_hello_in_time_ends_it_however_many_bytes_came() -> None:
     hall = Noted()
     door = await enter(hall)
     await door.send(*(hello()[at : at + 1] for at in range(20)))
-    assert door.timers.waiting() == [HELLO_S]
+    assert door.timers.waiting() == [LIMITS.hello_s]
     door.timers.fire()
     assert (await door.fault())["where"] == "hello"
     assert wrong(hall) == [(f"u{door.session.uid}", "MALFORMED", "hello")]
@@ -182,7 +183,7 @@ async def test_a_frame_that_does_not_end_in_time_ends_it_however_it_trickles() -
     hall = Noted()
     door = await (await enter(hall)).hello()
     await door.send(*(SEEN[at : at + 1] for at in range(12)))
-    assert door.timers.waiting() == [FRAME_S]
+    assert door.timers.waiting() == [LIMITS.frame_s]
     door.timers.fire()
     assert (await door.fault())["message"] == "a message did not end in time"
     door.close()
@@ -195,7 +196,7 @@ async def test_each_frame_has_its_own_time() -> None:
     first = door.session._frame_timer
     await door.send(SEEN[5:] + SEEN[:3])
     assert door.session._frame_timer is not first
-    assert door.timers.waiting() == [FRAME_S]
+    assert door.timers.waiting() == [LIMITS.frame_s]
     await door.send(SEEN[3:])
     assert door.timers.waiting() == []
     door.close()
@@ -212,7 +213,7 @@ async def test_while_nothing_is_read_the_rest_of_a_frame_is_not_waited_for() -> 
     await door.send(SEEN[5:])
     assert hall.requests == []
     door.session.resume()
-    assert door.timers.waiting() == [FRAME_S]
+    assert door.timers.waiting() == [LIMITS.frame_s]
     await settle()
     assert len(hall.requests) == 1
     assert door.timers.waiting() == []
@@ -244,7 +245,7 @@ async def test_who_does_not_read_is_put_aside_and_dropped_and_nobody_waits_for_i
     (client,) = hall.here
     client.reply(1, {"text": "x" * (3 << 20)})
     assert client.clogged
-    assert door.timers.waiting() == [READ_S]
+    assert door.timers.waiting() == [LIMITS.read_s]
     door.timers.fire()
     await settle()
     assert wrong(hall) == [(client.name, "BUSY", "connection")]
@@ -277,7 +278,7 @@ async def test_who_breaks_off_and_does_not_take_what_waits_is_not_waited_for_eit
     client.reply(1, {"text": "x" * (3 << 20)})
     await door.send(raw_frame(Kind.ORDER, 1, b""))
     assert hall.gone == []  # what waits for it could still be taken
-    assert door.timers.waiting() == [READ_S]
+    assert door.timers.waiting() == [LIMITS.read_s]
     door.timers.fire()
     await settle()
     assert hall.gone == [client]

@@ -8,8 +8,7 @@ from typing import Any
 import pytest
 
 from authguard_r.enforcement.signed_orders import Verb
-from authguard_r.server.braking import PATIENCE_MS
-from authguard_r.server.stop_recorder import _SAME_MS
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import ClientRole, Kind, Order, OrderKind, Stop
 from unit.server.demo_site import House
 
@@ -57,10 +56,10 @@ def test_a_name_is_the_same_stop_for_a_while_after_it_was_last_asked_for() -> No
     with House() as house:
         house.stop(AUDITOR, 1, stood_ms=None, key="one")
         for n in (2, 3):
-            house.advance(_SAME_MS - 500)
+            house.advance(LIMITS.same_stop_ms - 500)
             house.stop(AUDITOR, n, stood_ms=None, key="one")
         assert told(house) == [-1]
-        house.advance(_SAME_MS + 500)
+        house.advance(LIMITS.same_stop_ms + 500)
         house.stop(AUDITOR, 4, stood_ms=None, key="one")
         assert told(house) == [-1, -1]
 
@@ -97,8 +96,8 @@ def test_a_gate_that_is_asked_again_before_it_has_written_writes_what_was_said_l
             number = hand.say(Kind.STOP, Stop(why="a child", key="one"))
             said = house.until(lambda n=number: hand.answer(n))
             assert said["controller"] is False
-            house.advance(PATIENCE_MS // 4)
-        house.advance(2 * PATIENCE_MS)
+            house.advance(LIMITS.stop_answer_ms // 4)
+        house.advance(2 * LIMITS.stop_answer_ms)
         (record,) = house.log("stop")
         assert (record.open["stood_ms"], record.open["more"]) == (-1, 0)
 
@@ -146,9 +145,9 @@ def test_a_stop_that_is_confirmed_before_its_record_says_after_how_long_since_th
     with House(robot=False) as house:
         hand = house.enter(AUDITOR)
         hand.say(Kind.STOP, Stop(why="", key="one"))
-        house.advance(PATIENCE_MS // 2)
+        house.advance(LIMITS.stop_answer_ms // 2)
         house.connect_robot()
         hand.say(Kind.STOP, Stop(why="", key="one"))
-        house.advance(2 * PATIENCE_MS)
+        house.advance(2 * LIMITS.stop_answer_ms)
         (record,) = house.log("stop")
-        assert PATIENCE_MS // 2 <= record.open["stood_ms"] < PATIENCE_MS
+        assert LIMITS.stop_answer_ms // 2 <= record.open["stood_ms"] < LIMITS.stop_answer_ms

@@ -15,7 +15,8 @@ from authguard_r.core.errors import ControllerError
 from authguard_r.core.identifiers import Digest
 from authguard_r.core.mission import Limit
 from authguard_r.core.state import AttestedState
-from authguard_r.server.streams import MIN_GAP_MS, RECORD_MS, Streams, _Stream, is_stream
+from authguard_r.server.streams import Streams, _Stream, is_stream
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import ClientRole, Close, Kind, Sample
 from fixtures import scenarios
 from unit.server.demo_site import (
@@ -46,7 +47,7 @@ class Driven:
         (event,) = self.planner.bodies(Kind.EVENT, self.number)
         self.ticket = Digest(event["ticket"])
         assert self.ticket == ticket_of(house)
-        house.clock.ms += MIN_GAP_MS
+        house.clock.ms += LIMITS.sample_gap_ms
 
     def sample(self, params: dict[str, int], by: Guest | None = None) -> tuple[bool, Any]:
         """Send a sample; return whether it went as it was, and what the controller got."""
@@ -63,7 +64,7 @@ class Driven:
         house.pump()
         return answer["forwarded"], got[-1]["params"] if got else None
 
-    def later(self, ms: int = MIN_GAP_MS) -> None:
+    def later(self, ms: int = LIMITS.sample_gap_ms) -> None:
         self.house.clock.ms += ms
 
 
@@ -115,7 +116,7 @@ def test_a_sample_too_soon_is_shed_unforwarded() -> None:
     with driving() as house:
         driven = Driven(house)
         assert driven.sample(SLOW)[0] is True
-        driven.later(MIN_GAP_MS - 1)
+        driven.later(LIMITS.sample_gap_ms - 1)
         assert driven.sample({**ZERO, "linear_mm_s": 121}) == (False, None)
         driven.later(1)
         assert driven.sample(SLOW)[0] is True
@@ -174,7 +175,7 @@ def test_a_stream_is_closed_after_its_duration_and_takes_no_sample_then() -> Non
         driven = Driven(house, ms=2_000)
         assert house.controller is not None
         house.desk = None  # a controller that does not count by itself
-        house.clock.ms += 1_980 - MIN_GAP_MS
+        house.clock.ms += 1_980 - LIMITS.sample_gap_ms
         assert driven.sample(SLOW)[0] is True
         assert house.controller.bodies(Kind.CLOSE) == []
         driven.later(20)
@@ -275,8 +276,8 @@ def test_one_record_a_second_says_what_went_by_and_a_last_one_comes_before_the_o
         driven.sample(went[-1])  # at the same time
         for params in (*went, went[-1], went[-1]):
             digest.update(encode_fast(params))
-        house.advance(RECORD_MS)
-        house.advance(2 * RECORD_MS)
+        house.advance(LIMITS.stream_record_ms)
+        house.advance(2 * LIMITS.stream_record_ms)
         driven.planner.ask(Kind.CLOSE, Close(ticket=driven.ticket))
         house.pump()
         (step,) = house.rest(driven.planner, driven.number)["steps"]

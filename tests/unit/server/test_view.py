@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from authguard_r.server.queries import _PAGE_BYTES
+from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import ClientRole, Kind, Mode
 from fixtures import scenarios
 from unit.server.demo_site import FORBIDDEN, GO, SCAN, UNREADABLE, House, page
@@ -108,7 +108,7 @@ def test_a_page_of_the_log_is_whole_records_and_never_longer_than_a_page() -> No
             house.until(lambda: len(house.log("refusal")) > number)  # noqa: B023
         long = page(auditor)
         assert len(long) < len(house.log())
-        assert sum(len(msgspec.json.encode(row["sealed"])) for row in long) <= _PAGE_BYTES
+        assert sum(len(msgspec.json.encode(row["sealed"])) for row in long) <= LIMITS.page_bytes
         rest = page(auditor, long[-1]["seq"] + 1)
         assert rest[0]["seq"] == long[-1]["seq"] + 1
 

@@ -28,10 +28,10 @@ from authguard_r.core.encoding import b64, encode
 from authguard_r.core.identifiers import MissionId, RobotId
 from authguard_r.core.ports import Store, Turn
 from authguard_r.store.transactions import read_held
+from authguard_r.wire.gate_limits import LIMITS
 
 #: Missions whose keys are in memory at a time: the active one, and those of which something is
 #: still said. Each that comes back has new keys, which its readers are told in a record.
-_MOST_COVERS = 64
 _KEY = 32
 
 
@@ -101,7 +101,7 @@ class Sealer:
             add_due(turn, MissionId(mid))
         self._covers[mid] = (kept, cover)
         self._covers.move_to_end(mid)
-        while len(self._covers) > _MOST_COVERS:
+        while len(self._covers) > LIMITS.covers:
             self._covers.popitem(last=False)
         return cover
 

@@ -30,7 +30,6 @@ from authguard_r.enforcement.management.repetition import Used, use_instance
 from authguard_r.enforcement.management.rollback import require_later
 from authguard_r.site.durations import duration
 from authguard_r.store.issued_missions import (
-    MOST_ISSUED,
     hold_issued,
     issued,
     registered,
@@ -38,6 +37,7 @@ from authguard_r.store.issued_missions import (
     take_issued,
 )
 from authguard_r.store.transactions import Transaction, stop_stands
+from authguard_r.wire.gate_limits import LIMITS
 
 #: How a mission ends by itself, and why. A stale list is none of it: the next one may mend that.
 _ENDS: dict[Reason, Event] = {
@@ -86,9 +86,9 @@ def hand_in(
         _first(verified)
     else:
         _update(act, known, verified, parts)  # it could supersede that version now
-    if len(issued(act)) >= MOST_ISSUED:
+    if len(issued(act)) >= LIMITS.issued_missions:
         text = (
-            f"{MOST_ISSUED} missions are issued already, listed by `authguard status`: "
+            f"{LIMITS.issued_missions} missions are issued already, listed by `authguard status`: "
             "`authguard mission revoke TOKEN` ends one"
         )
         raise refuse(Reason.BUSY, text)

@@ -27,11 +27,10 @@ from authguard_r.core.standing import Standing
 from authguard_r.enforcement.inputs import InputVerifier
 from authguard_r.enforcement.report import refusal_entry
 from authguard_r.enforcement.signed_orders import Command
-from authguard_r.store.transactions import SKEW_MS, STOP, Ledger, Transaction, stop_stands
+from authguard_r.store.transactions import STOP, Ledger, Transaction, stop_stands
+from authguard_r.wire.gate_limits import LIMITS
 
 T = TypeVar("T")
-#: No order is good for longer, in milliseconds.
-MOST_VALID_MS = 86_400_000
 #: Where the store holds when it was accepted last, trusted time in milliseconds.
 _KIND, _ACCEPTED = "counter", "accepted"
 
@@ -132,10 +131,10 @@ def require_timely(
     now_ms = act.now.utc_ms
     if now_ms > order.expires_ms or act.get("command", order.nonce) is not None:
         raise refuse(Reason.EXPIRED, f"the {where} ran out or was carried out already")
-    if order.expires_ms > min(now_ms, order.issued_ms or now_ms) + MOST_VALID_MS:
+    if order.expires_ms > min(now_ms, order.issued_ms or now_ms) + LIMITS.order_valid_ms:
         text = f"good until {to_timestamp(order.expires_ms)}: an order is good for a day at most"
         raise refuse(Reason.VALUE_OUT_OF_RANGE, text, f"{where}.expires_ms")
-    if order.issued_ms > now_ms + SKEW_MS and not is_narrowing:
+    if order.issued_ms > now_ms + LIMITS.skew_ms and not is_narrowing:
         text = f"signed at {to_timestamp(order.issued_ms)}, and here it is {to_timestamp(now_ms)}"
         raise refuse(Reason.NOT_YET_VALID, text, f"{where}.issued_ms")
 
@@ -177,7 +176,7 @@ def require_newest(act: Transaction, key: str, issued_ms: int, *, over_ms: int =
         text = f"{signed}; expected later than {to_timestamp(newest_ms)}: sign it anew"
         raise refuse(Reason.ORDER_TOO_OLD, text, f"{key.rpartition('/')[2]}.issued_ms")
     # who narrows by a clock that is far ahead keeps nobody from what comes next
-    held_ms = issued_ms if issued_ms <= act.now.utc_ms + SKEW_MS else act.now.utc_ms
+    held_ms = issued_ms if issued_ms <= act.now.utc_ms + LIMITS.skew_ms else act.now.utc_ms
     act.put("order", key, str(held_ms).encode("ascii"))
 
 

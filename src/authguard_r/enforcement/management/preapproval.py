@@ -26,7 +26,8 @@ from authguard_r.enforcement.management.parts import (
     require_newest,
     require_signed_since,
 )
-from authguard_r.store.transactions import SKEW_MS, Transaction
+from authguard_r.store.transactions import Transaction
+from authguard_r.wire.gate_limits import LIMITS
 
 #: Where the store holds when an action of a grant was denied last, by mission and grant.
 _DENIED = "preapproval-denied"
@@ -88,7 +89,7 @@ def withdraw_denied(
 def _require_new(act: Transaction, item: VerifiedPreApproval) -> None:
     """Require what was signed after what it replaces, after a denial, and not ahead of time."""
     said = item.preapproval
-    if said.uses and said.issued_ms > act.now.utc_ms + SKEW_MS:
+    if said.uses and said.issued_ms > act.now.utc_ms + LIMITS.skew_ms:
         text = f"signed at {to_timestamp(said.issued_ms)}: the clock that signed it runs ahead"
         raise refuse(Reason.NOT_YET_VALID, text, "preapproval.issued_ms")
     denied_ms = int(act.get(_DENIED, f"{said.mid}/{said.grant}") or 0)

@@ -43,6 +43,7 @@ from authguard_r.enforcement.management.parts import ManagementParts, entry, ref
 from authguard_r.enforcement.management.repetition import require_fresh
 from authguard_r.enforcement.signed_orders import Command, Verb
 from authguard_r.store.transactions import Transaction, read_held
+from authguard_r.wire.gate_limits import LIMITS
 
 #: Who may order it: whoever says who reads, and for how long.
 ROLES = frozenset({"site_authority"})
@@ -50,8 +51,6 @@ ROLES = frozenset({"site_authority"})
 _KIND, _JOBS = "shredding", "jobs"
 #: Records that one turn looks through, and of how many of them it lets boxes go.
 LOOKS, PAGE = 1_024, 64
-#: Keys that one order reaches back to: one for each start of the gate. Another reaches further.
-_MOST_KEYS = 4_096
 #: Missions that retention looks at in one turn, and of how many it destroys something.
 _MOST_DUE, _MOST_BEGUN = 16, 4
 #: How long one set of keys of no mission is used where retention ends.
@@ -320,7 +319,7 @@ def _keys(
     mid: str,
     classes: _Classes,
     *,
-    most: int = _MOST_KEYS,
+    most: int = LIMITS.shredded_keys,
     whole: bool = True,
 ) -> tuple[_Keys, ...]:
     """Return the records that tell keys of these classes, the newest first.

@@ -22,7 +22,8 @@ from authguard_r.operations.checkup.advice import Advice, AdviceCode, fine, unsa
 from authguard_r.operations.checkup.custody import file_advice
 from authguard_r.store.clocks import SIMULATED
 from authguard_r.store.sqlite import read_held, read_rows
-from authguard_r.store.transactions import SKEW_MS, ClockWatermark
+from authguard_r.store.transactions import ClockWatermark
+from authguard_r.wire.gate_limits import LIMITS
 
 _HELP = "see docs/howto/store.md"
 
@@ -73,7 +74,7 @@ def _clock(path: Path, now: Now) -> Iterator[Advice]:
     if read_record(first.record, where="record 0").open.get("clock") == SIMULATED:
         return
     behind = decode(held, ClockWatermark, where="store.clock").utc_ms - now.utc_ms
-    if behind > SKEW_MS:
+    if behind > LIMITS.skew_ms:
         yield unsafe(
             "clock",
             AdviceCode.CLOCK_BEHIND,
