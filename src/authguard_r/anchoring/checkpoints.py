@@ -32,7 +32,6 @@ CHECKPOINT, NEWEST, WITNESSED = "checkpoint", "newest", "witnessed"
 TREE, FRONTIER = "tree", "frontier"
 #: Roots of complete subtrees of these levels are held; lower ones come from the links.
 LEVELS = (8, 16, 24, 32)
-#: Records that one turn takes into the tree.
 _STEP = LEVELS[0]
 _BLOCK = 1 << _STEP
 

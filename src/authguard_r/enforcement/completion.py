@@ -7,9 +7,12 @@ Nothing here decides. Spec page: docs/spec/enforcement.md
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import msgspec
 
+from authguard_r.approvals import approver_json
+from authguard_r.approvals.requests import OpenRequest, fits, note_request
 from authguard_r.audit.record import Entry
 from authguard_r.core.action import Action, ActionMeta
 from authguard_r.core.decision import Verdict
@@ -21,11 +24,12 @@ from authguard_r.core.standing import Standing
 from authguard_r.core.state import AttestedState
 from authguard_r.core.token import VerifiedMission
 from authguard_r.enforcement.leases import require_judged
-from authguard_r.enforcement.report import Judged, Report, counted, decision_entry
+from authguard_r.enforcement.report import Judged, Report, decision_entry
 from authguard_r.normalize import Step
 from authguard_r.provenance.context import ContextLedger
 from authguard_r.provenance.labels import label_fields
 from authguard_r.safety.repair import is_narrower
+from authguard_r.store.transactions import Transaction
 
 
 def attested_source(step: Step, state: AttestedState | None) -> Action:
@@ -139,3 +143,37 @@ def cause_of(report: Report) -> tuple[str, str]:
     """Return reason and field of the first finding: what repeats of a refusal have in common."""
     finding = next(iter(require_judged(report).decision.findings), None)
     return ("SAFETY", "") if finding is None else (finding.reason, finding.field)
+
+
+def counted(judged: Judged, facts: SiteFacts) -> list[dict[str, Any]]:
+    """Return who stands behind a decision: name, role and kind of each answer that counted."""
+    standing, match = judged.standing, judged.decision.match
+    request = (
+        None if standing is None or match is None else standing.requests.get(match.indexed.grant.id)
+    )
+    if request is None or standing is None or match is None:
+        return []
+    asked = OpenRequest(
+        verified=judged.verified,
+        grant=match.indexed.grant,
+        request=request,
+        action=judged.action,
+        standing=standing,
+        facts=facts,
+    )
+    need = judged.decision.need
+    if need is None or (need.scope, need.situation) != (request.scope, request.situation):
+        return []  # another question is open: nobody was counted
+    return [
+        {**approver_json(item.approver), "verdict": str(item.approval.verdict)}
+        for item in judged.answers
+        if fits(asked, item, judged.now)
+    ]
+
+
+def record_decision(act: Transaction, judged: Judged, entry: Entry) -> int:
+    """Record a decision that changed something; of a new request the number is held with it."""
+    seq = act.record(entry)
+    if judged.request is not None:
+        note_request(act, judged.verified.mission.mid, judged.request.counter, seq)
+    return seq

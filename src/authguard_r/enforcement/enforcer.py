@@ -37,6 +37,7 @@ from authguard_r.enforcement.completion import (
     cause_of,
     complete,
     meta_of,
+    record_decision,
     record_of_decision,
     repaired_report,
 )
@@ -49,14 +50,7 @@ from authguard_r.enforcement.leases import (
     quietly,
     require_judged,
 )
-from authguard_r.enforcement.report import (
-    Judged,
-    Refusal,
-    Report,
-    open_question,
-    record_decision,
-    refused_proposal,
-)
+from authguard_r.enforcement.report import Judged, Refusal, Report, open_question, refused_proposal
 from authguard_r.enforcement.stopping import RecordedStops
 from authguard_r.normalize import Step
 from authguard_r.provenance.context import ContextLedger, Influence
@@ -143,7 +137,10 @@ class Enforcer:
         inputs: Mapping[str, Any] | None = None,
         repair: bool = False,
     ) -> Report | Running:
-        """Decide one step and, if both gates accept, begin it; whoever asked watches it.
+        """Decide one step and, if both gates accept, begin it; the caller watches it.
+
+        The numbers in the code are those of docs/spec/enforcement.md#the-road. Steps 9 and 10 are
+        `Running.poll`.
 
         Args:
             step: one bound step of a plan; anybody may have written it.
@@ -163,22 +160,24 @@ class Enforcer:
 
         def job(act: Transaction) -> Report:
             judge = partial(self._judge, act, planner=planner, evidence=evidence, base=base)
-            report = Report(judged=judge(step), influences=influences)
+            report = Report(judged=judge(step), influences=influences)  # 2 to 4
             report = repaired_report(report, step, judge, context) if repair else report
-            return self._record(act, report, planner, keep)
+            return self._record(act, report, planner, keep)  # 5
 
         try:
-            self._require_suspended()
+            self._require_suspended()  # 0: an operator's stop is on disk, owed outcomes too,
             self._watch.settle_owed()
-            self._require_conditions()
-            self.intake.refresh()
-            report = self._ledger.run(job)
+            self._require_conditions()  # and what the start and emergencies ask for holds
+            self.intake.refresh()  # 1: the newest state
+            report = self._ledger.run(job)  # 2 to 6: one transaction, committed
         except AuthGuardError as error:
             return self._refused(error, planner, influences, inputs)
         except Exception as error:  # noqa: BLE001 - a fault of ours refuses too
             fault = AuthGuardError(type(error).__name__, reason=Reason.INTERNAL_FAULT)
             return self._refused(fault, planner, influences)
-        return self._begin(report, keep) if require_judged(report).released else report
+        if not require_judged(report).released:
+            return report
+        return self._begin(report, keep)  # 7 and 8: the lease on new state, then dispatch
 
     def settle_stops(self) -> bool:
         """Write what an operator's stop has to change, if it is not on disk; True once it is."""
@@ -241,15 +240,15 @@ class Enforcer:
     def _judge(
         self, act: Transaction, step: Step, *, planner: Identifier, evidence: Digest, base: Label
     ) -> Judged:
-        """(1) to (7) in the writer's turn, then the second gate; nothing is changed yet."""
+        """Steps 2 to 4, in the transaction: fill in the action, decide it, ask the safety gate."""
         verified = self.intake.active_mission(act)
         standing = act.standing(verified.mission.mid)
         state = self.intake.state
         now = act.now
         meta = meta_of(verified, planner=planner, evidence=evidence, now=now)
-        action = complete(step, meta, verified, standing, state=state, base=base)
+        action = complete(step, meta, verified, standing, state=state, base=base)  # 2
         answered = self.intake.answers(act, standing)
-        decision = decide(
+        decision = decide(  # 3
             verified,
             action,
             state=state,
@@ -260,7 +259,7 @@ class Enforcer:
             preapprovals=answered.preapprovals,
         )
         safety = None
-        if decision.verdict is Verdict.ACCEPT:
+        if decision.verdict is Verdict.ACCEPT:  # 4
             recalled = self._safety.recall(memory_of(act, standing))
             safety = recalled.assess(action, state, self._facts, now)
         digested = digest_of(Tag.ACTION, action)
@@ -281,7 +280,7 @@ class Enforcer:
         )
 
     def _commit(self, act: Transaction, judged: Judged) -> bool:
-        """(8) Use what a release uses, or open the question that it needs; False: nothing."""
+        """Step 5: reserve a release, or open the request that it needs; False: nothing changed."""
         standing, match = judged.standing, judged.decision.match
         if standing is None or match is None:
             return False
@@ -310,7 +309,7 @@ class Enforcer:
         return True
 
     def _record(self, act: Transaction, report: Report, planner: Identifier, keep: Keep) -> Report:
-        """(8) Make a decision's changes and append its record, behind what it repairs."""
+        """Step 5: make a decision's changes and append its record, after the one it repairs."""
         judged, refused = require_judged(report), report.repairs
         changes = self._commit(act, judged)
         if refused is not None:  # it is recorded at once when its repair changes something
@@ -328,7 +327,7 @@ class Enforcer:
         return msgspec.structs.replace(report, seq=seq, outcome_recorded=self._kept(seq))
 
     def _begin(self, report: Report, keep: Keep) -> Report | Running:
-        """Dispatch what was committed, unless its lease does not hold any more."""
+        """Steps 7 and 8: dispatch what was committed, unless its lease does not hold any more."""
         judged = require_judged(report)
         match = judged.decision.match
         if match is None:  # pragma: no cover - an accepted action has a match
@@ -342,10 +341,11 @@ class Enforcer:
             now=judged.now,
             ticket=judged.ticket,
         )
-        findings = self._watch.last_look(lease, irreversible=match.indexed.grant.irreversible)
+        irreversible = match.indexed.grant.irreversible
+        findings = self._watch.last_look(lease, irreversible=irreversible)  # 7
         if not findings:
             try:
-                flight = self._watch.controller.dispatch(judged.action, lease)
+                flight = self._watch.controller.dispatch(judged.action, lease)  # 8
                 return Running(self._watch, report, lease=lease, flight=flight, keep=keep)
             except ControllerError as error:
                 findings = (fault_finding(error),)

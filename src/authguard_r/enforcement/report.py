@@ -14,15 +14,12 @@ from typing import Any
 import msgspec
 from msgspec import Raw, Struct
 
-from authguard_r.approvals import approver_json
-from authguard_r.approvals.requests import OpenRequest, fits, note_request
 from authguard_r.audit.deviation import Weights, deviation
 from authguard_r.audit.record import NONE, Entry
 from authguard_r.core.action import Action
 from authguard_r.core.approval import VerifiedApproval
 from authguard_r.core.decision import Decision, Verdict
 from authguard_r.core.errors import AuthGuardError
-from authguard_r.core.facts import SiteFacts
 from authguard_r.core.finding import Findings
 from authguard_r.core.identifiers import Digest, Identifier, MissionId
 from authguard_r.core.lifecycle import Status
@@ -34,7 +31,6 @@ from authguard_r.core.standing import ApprovalRequest, Outcome, Spend, Standing
 from authguard_r.core.state import AttestedState
 from authguard_r.core.token import VerifiedMission
 from authguard_r.provenance.context import Influence
-from authguard_r.store.transactions import Transaction
 
 #: What the log says of the second gate when the first refused.
 NOT_EVALUATED = "not evaluated"
@@ -367,37 +363,3 @@ def average_deviation(actions: Collection[tuple[Reason, ...]], weights: Weights)
     """Return the average that experiments report beside D_M(P)."""
     each = [deviation(reasons, weights) for reasons in actions]
     return sum(each, Fraction(0)) / max(len(each), 1)
-
-
-def counted(judged: Judged, facts: SiteFacts) -> list[dict[str, Any]]:
-    """Return who stands behind a decision: name, role and kind of each answer that counted."""
-    standing, match = judged.standing, judged.decision.match
-    request = (
-        None if standing is None or match is None else standing.requests.get(match.indexed.grant.id)
-    )
-    if request is None or standing is None or match is None:
-        return []
-    asked = OpenRequest(
-        verified=judged.verified,
-        grant=match.indexed.grant,
-        request=request,
-        action=judged.action,
-        standing=standing,
-        facts=facts,
-    )
-    need = judged.decision.need
-    if need is None or (need.scope, need.situation) != (request.scope, request.situation):
-        return []  # another question is open: nobody was counted
-    return [
-        {**approver_json(item.approver), "verdict": str(item.approval.verdict)}
-        for item in judged.answers
-        if fits(asked, item, judged.now)
-    ]
-
-
-def record_decision(act: Transaction, judged: Judged, entry: Entry) -> int:
-    """Record a decision that changed something; of a new request the number is held with it."""
-    seq = act.record(entry)
-    if judged.request is not None:
-        note_request(act, judged.verified.mission.mid, judged.request.counter, seq)
-    return seq

@@ -161,7 +161,7 @@ class Dispatcher:
         parts = parts_of(seen.text)
 
         def note() -> None:
-            self._plans.observe(client, seen.channel, parts.pop(0))
+            self._plans.contexts.observe(client, seen.channel, parts.pop(0))
             if parts:
                 self._rest(client, note)
             else:

@@ -26,7 +26,6 @@ from authguard_r.store.transactions import Ledger, Transaction, read_held
 from authguard_r.wire.disclosure import Disclosure, disclosed
 from authguard_r.wire.gate_limits import LIMITS
 
-#: Answers that are remembered beside the store.
 _KIND = "proposal"
 
 

@@ -25,6 +25,7 @@ from authguard_r.enforcement.report import Report, refusal_entry
 from authguard_r.server.active_mission import ActiveMission
 from authguard_r.server.approval_requests import OpenQuestions
 from authguard_r.server.braking import brakes_of
+from authguard_r.server.contexts import PlannerContexts
 from authguard_r.server.dispatcher import Dispatcher
 from authguard_r.server.emergencies import STRANGE, EmergencyCalls
 from authguard_r.server.event_bus import EventBus
@@ -144,9 +145,9 @@ class Service:
             self.gate.enforcer,
             parts.binder,
             reader=parts.reader,
+            contexts=PlannerContexts(parts.binder, parts.channels),
             motions=self.leases,
             proposals=ProposalRegistry(self.gate.ledger, self._config.disclosure),
-            channels=parts.channels,
             foresight=self._foresight,
             disclosure=self._config.disclosure,
             shadow=self._config.mode is Mode.SHADOW,

@@ -346,7 +346,7 @@ def test_nobody_inputs_are_forgotten_for_one_more_planner() -> None:
         channel = "user"
         plans = house.service._dispatcher._plans
         for number in range(LIMITS.contexts - 1):  # of many users
-            plans._contexts[Identifier(f"u{10**6 + number}.p")] = plans._empty()
+            plans.contexts._known[Identifier(f"u{10**6 + number}.p")] = plans.contexts.empty()
         client = planner(house, "p0")
         client.ask(Kind.OBSERVE, Observe(channel=channel, text="Pharmacy"))
         client.leave()
@@ -368,11 +368,11 @@ def test_one_user_has_its_own_part_of_what_is_kept_and_no_more() -> None:
         with pytest.raises(Refused) as refused:
             planner(house, "late").ask(Kind.OBSERVE, Observe(channel="user", text="Pharmacy"))
         assert (refused.value.code, refused.value.where) == ("BUSY", "observe")
-        assert len(plans._contexts) == LIMITS.contexts_of_user
+        assert len(plans.contexts._known) == LIMITS.contexts_of_user
         line = house.client(house._guests[-1]).line
         other = ServedClient(line, role=ClientRole.PLANNER, name=Identifier("u99999.p"), uid=99_999)
-        plans.observe(other, "user", "Pharmacy")  # another user's are noted all the same
-        assert plans._contexts[other.name].influences(scenarios.navigate("dock", "pharmacy"))
+        plans.contexts.observe(other, "user", "Pharmacy")  # another user's are noted all the same
+        assert plans.contexts._known[other.name].influences(scenarios.navigate("dock", "pharmacy"))
 
 
 def test_a_first_text_that_is_refused_takes_nobodys_place() -> None:
@@ -380,8 +380,8 @@ def test_a_first_text_that_is_refused_takes_nobodys_place() -> None:
         client = planner(house)
         with pytest.raises(Refused):
             client.ask(Kind.OBSERVE, Observe(channel="carrier pigeon", text="coo"))
-        assert house.service._dispatcher._plans._contexts == {}
-        assert house.service._dispatcher._plans._unheard == set()
+        assert house.service._dispatcher._plans.contexts._known == {}
+        assert house.service._dispatcher._plans.contexts._unheard == set()
 
 
 def test_who_was_shown_something_that_could_not_be_noted_may_have_seen_anything() -> None:
@@ -389,7 +389,7 @@ def test_who_was_shown_something_that_could_not_be_noted_may_have_seen_anything(
         plans = house.service._dispatcher._plans
         uid = os.geteuid()
         for number in range(LIMITS.contexts_of_user):
-            plans._contexts[Identifier(f"u{uid}.p{number}")] = plans._empty()
+            plans.contexts._known[Identifier(f"u{uid}.p{number}")] = plans.contexts.empty()
         unheard, silent = planner(house, "unheard"), planner(house, "silent")
         with pytest.raises(Refused):
             unheard.ask(Kind.OBSERVE, Observe(channel="user", text="Pharmacy"))
@@ -405,7 +405,7 @@ def test_who_connects_anew_is_not_forgotten_to_have_seen_anything() -> None:
         plans = house.service._dispatcher._plans
         uid = os.geteuid()
         for number in range(LIMITS.contexts_of_user):
-            plans._contexts[Identifier(f"u{uid}.p{number}")] = plans._empty()
+            plans.contexts._known[Identifier(f"u{uid}.p{number}")] = plans.contexts.empty()
         house.activate()
         for _ in range(2):
             unheard = planner(house, "unheard")
@@ -415,23 +415,25 @@ def test_who_connects_anew_is_not_forgotten_to_have_seen_anything() -> None:
         house.propose(planner(house, "unheard"), FORBIDDEN)
         (label,) = [record.open["labels"]["destination"] for record in house.log("decision")]
         assert label == TRUST[-1]
-        assert plans._unheard == {f"u{uid}.unheard"}
+        assert plans.contexts._unheard == {f"u{uid}.unheard"}
 
 
 def test_more_names_than_are_kept_of_those_who_were_not_heard_are_their_whole_user() -> None:
     with House() as house:
         plans = house.service._dispatcher._plans
         uid = os.geteuid()
-        plans._unheard.update(f"u{uid}.p{number}" for number in range(LIMITS.contexts_of_user))
+        plans.contexts._unheard.update(
+            f"u{uid}.p{number}" for number in range(LIMITS.contexts_of_user)
+        )
         for number in range(LIMITS.contexts_of_user):
-            plans._contexts[Identifier(f"u{uid}.q{number}")] = plans._empty()
+            plans.contexts._known[Identifier(f"u{uid}.q{number}")] = plans.contexts.empty()
         house.activate()
         for name in ("one", "two"):
             late = planner(house, name)
             with pytest.raises(Refused):
                 late.ask(Kind.OBSERVE, Observe(channel="user", text="Pharmacy"))
             late.leave()
-        assert len(plans._unheard) == LIMITS.contexts_of_user + 1
+        assert len(plans.contexts._unheard) == LIMITS.contexts_of_user + 1
         house.propose(planner(house, "silent"), FORBIDDEN)
         (label,) = [record.open["labels"]["destination"] for record in house.log("decision")]
         assert label == TRUST[-1]

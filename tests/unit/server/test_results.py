@@ -30,7 +30,7 @@ def setting_out(house: House, name: str | None = None) -> tuple[Guest, int]:
 
 def noted(house: House, planner: Guest) -> list[str]:
     """Return the labels under which the gate knows that the planner has read of the station."""
-    context = house.service._dispatcher._plans._context(house.client(planner))
+    context = house.service._dispatcher._plans.contexts.of(house.client(planner))
     return [str(item.label) for item in context.influences(STATION)]
 
 
@@ -71,11 +71,11 @@ def test_it_is_noted_first_then_told_then_the_answer_comes() -> None:
 def test_a_picture_counts_though_it_has_no_words() -> None:
     with House() as house:
         planner, number = setting_out(house)
-        context = house.service._dispatcher._plans._context(house.client(planner))
+        context = house.service._dispatcher._plans.contexts.of(house.client(planner))
         assert str(context.base()) == "model"
         brings(house, ticket_of(house))
         house.rest(planner, number)
-        after = house.service._dispatcher._plans._context(house.client(planner))
+        after = house.service._dispatcher._plans.contexts.of(house.client(planner))
         assert str(after.base()) == "camera"
 
 
@@ -126,11 +126,13 @@ def test_a_planner_that_cannot_be_kept_apart_counts_as_having_seen_anything() ->
         planner, number = setting_out(house)
         plans = house.service._dispatcher._plans
         for other in range(LIMITS.contexts):
-            plans._contexts[msgspec.convert(f"u{10**6 + other}.p", str)] = plans._empty()  # type: ignore[index]
+            plans.contexts._known[msgspec.convert(f"u{10**6 + other}.p", str)] = (
+                plans.contexts.empty()
+            )  # type: ignore[index]
         brings(house, ticket_of(house), SIGN)
         house.rest(planner, number)
         assert told(planner, number) == ["e30="]
-        assert str(plans._context(house.client(planner)).base()) == "camera"
+        assert str(plans.contexts.of(house.client(planner)).base()) == "camera"
 
 
 def test_nobody_but_the_controller_says_what_an_action_brought() -> None:

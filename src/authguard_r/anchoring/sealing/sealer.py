@@ -30,8 +30,6 @@ from authguard_r.core.ports import Store, Turn
 from authguard_r.store.transactions import read_held
 from authguard_r.wire.gate_limits import LIMITS
 
-#: Missions whose keys are in memory at a time: the active one, and those of which something is
-#: still said. Each that comes back has new keys, which its readers are told in a record.
 _KEY = 32
 
 
