@@ -22,7 +22,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome
 from authguard_r.enforcement.report import decision_entry
 from authguard_r.keys.trust import Trust, read_trust
-from authguard_r.normalize import Step, normalize
+from authguard_r.normalize import Step, read_plan
 from authguard_r.store.memory import MemoryStore
 from authguard_r.store.sqlite import open_store, read_rows
 from authguard_r.store.transactions import Transaction
@@ -234,7 +234,7 @@ def _plan(held: Bench, length: int) -> Callable[[], int]:
     def once() -> int:
         intake.forget()
         start = perf_counter_ns()
-        plan = normalize(data, binder=held.binder)
+        plan = read_plan(data, binder=held.binder)
         total = perf_counter_ns() - start
         for step in plan.steps:
             total += _until_dispatch(held, step, plan.evidence)()

@@ -21,8 +21,7 @@ from authguard_r.core.standing import Outcome
 from authguard_r.enforcement.report import Report
 from authguard_r.keys.signer import folder_signer, gate_name
 from authguard_r.keys.trust import read_trust
-from authguard_r.normalize import Binder, normalize
-from authguard_r.provenance.context import ContextLedger
+from authguard_r.normalize import Binder, read_plan
 from authguard_r.safety import EnvelopeGate, default_config
 from authguard_r.server.proposals import Keeper, ProposalRecord
 from authguard_r.server.wiring import LogSettings, assemble
@@ -147,7 +146,7 @@ class _Twin:
             stand_within_ms=bounds.stand_within_ms,
         )
         self._binder = Binder(site, scenarios.binding())
-        self._context = ContextLedger(self._binder.spellings())
+        self._context = self._binder.context()
         self._flushed = monotonic()
         self._keys = 0
         self._gate.management.activate(busy_mission(_MID))
@@ -177,7 +176,7 @@ class _Twin:
         """Return nanoseconds until the decision, and from there until the outcome."""
         self._flush()
         start = perf_counter_ns()
-        plan = normalize(data, binder=self._binder)
+        plan = read_plan(data, binder=self._binder)
         keep = {}
         if key is not None:
             nothing = ProposalRecord(evidence=plan.evidence, planned=1, steps=())

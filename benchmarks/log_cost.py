@@ -30,8 +30,7 @@ from authguard_r.keys.notes import leaf_key, log_key
 from authguard_r.keys.readers import new_reader
 from authguard_r.keys.signer import folder_signer, gate_name
 from authguard_r.keys.trust import read_trust
-from authguard_r.normalize import normalize
-from authguard_r.provenance.context import ContextLedger
+from authguard_r.normalize import read_plan
 from authguard_r.store.sqlite import open_store, read_rows
 from authguard_r.witness.server import PATH
 from authguard_r.witness.service import make_witness, register
@@ -237,8 +236,8 @@ def _delivered(path: Path) -> tuple[list[LogRow], int]:
     sim = scenarios.simulation(store=path)
     try:
         sim.gate.management.activate(scenarios.token())
-        plan = normalize(_TASK, binder=sim.binder)
-        context = ContextLedger(sim.binder.spellings())
+        plan = read_plan(_TASK, binder=sim.binder)
+        context = sim.binder.context()
         for step in plan.steps:
             report = sim.gate.enforcer.propose(
                 step, planner=PLANNER, evidence=plan.evidence, context=context

@@ -20,7 +20,7 @@ from authguard_r.core.standing import ApprovalRequest
 from authguard_r.core.token import VerifiedMission, sign_object, verify_mission
 from authguard_r.enforcement.inputs import ISSUER_ROLES
 from authguard_r.keys.trust import Trust, read_trust
-from authguard_r.normalize import normalize
+from authguard_r.normalize import read_plan
 from authguard_r.provenance.context import ContextLedger
 from authguard_r.provenance.labels import label_fields
 from authguard_r.safety import EnvelopeGate, default_config
@@ -63,7 +63,7 @@ def normalizing(effort: Effort) -> dict[str, Timing]:
     text = good.decode()
     subjects = [Subject("json.loads", timed(lambda: json.loads(text)))]
     for name, size in LEDGERS.items():
-        ledger = ContextLedger(here.binder.spellings())
+        ledger = here.binder.context()
         for start in range(0, size, 2_000):
             seen = (_SEEN * 30)[: min(2_000, size - start)]
             ledger.add("camera" if start % 4_000 else "document", seen)
@@ -73,7 +73,7 @@ def normalizing(effort: Effort) -> dict[str, Timing]:
 
 def _normalizing(here: Scene, data: bytes, ledger: ContextLedger) -> Callable[[], object]:
     def act() -> object:
-        plan = normalize(data, binder=here.binder)
+        plan = read_plan(data, binder=here.binder)
         action = plan.steps[0].action
         label_fields(action, here.verified, here.standing, base=ledger.base())
         return ledger.influences(action)
@@ -117,13 +117,13 @@ def parts(effort: Effort) -> dict[str, Timing]:
     good = reply()
     action, _, _ = here.judge(good)
     refused, _, _ = here.judge(reply(HIJACKED))
-    evidence = normalize(good, binder=here.binder).evidence
-    bound = normalize(good, binder=here.binder).steps[0].action
+    evidence = read_plan(good, binder=here.binder).evidence
+    bound = read_plan(good, binder=here.binder).steps[0].action
     safety = EnvelopeGate(default_config(scenarios.site(), scenarios.RID))
     trust, fresh = read_trust(scenarios.trust_folder()), _Fresh()
     approval = _approval(here)
     subjects = [
-        Subject("T_N.normalize", timed(lambda: normalize(good, binder=here.binder))),
+        Subject("T_N.normalize", timed(lambda: read_plan(good, binder=here.binder))),
         Subject("T_N.complete", timed(lambda: here.completed(bound, evidence))),
         Subject("T_P.decide", timed(lambda: here.decide(action))),
         Subject("T_P.decide_refused", timed(lambda: here.decide(refused))),

@@ -34,7 +34,7 @@ from authguard_r.core.state import AttestedState  # noqa: E402
 from authguard_r.core.token import VerifiedMission, sign_object  # noqa: E402
 from authguard_r.keys.signer import folder_signer, gate_name  # noqa: E402
 from authguard_r.keys.trust import read_trust  # noqa: E402
-from authguard_r.normalize import Binder, Step, normalize  # noqa: E402
+from authguard_r.normalize import Binder, Step, read_plan  # noqa: E402
 from authguard_r.provenance.context import ContextLedger  # noqa: E402
 from authguard_r.provenance.labels import label_fields  # noqa: E402
 from authguard_r.safety import EnvelopeGate, default_config, safety_digest  # noqa: E402
@@ -71,7 +71,7 @@ class Scene(msgspec.Struct, frozen=True, kw_only=True):
 
     def judge(self, data: bytes) -> tuple[Action, Decision, Digest]:
         """Normalize one call, decide it, and hash its canonical bytes: what the enforcer does."""
-        plan = normalize(data, binder=self.binder)
+        plan = read_plan(data, binder=self.binder)
         action = self.completed(plan.steps[0].action, plan.evidence)
         return action, self.decide(action), digest_of(Tag.ACTION, action)
 
@@ -214,7 +214,7 @@ class Bench(msgspec.Struct, frozen=True):
 
     def steps(self, goal: str = GOAL, *, length: int = 1) -> tuple[tuple[Step, ...], Digest]:
         """Return the bound steps of a plan and the digest of its bytes."""
-        plan = normalize(reply(goal, length=length), binder=self.binder)
+        plan = read_plan(reply(goal, length=length), binder=self.binder)
         return plan.steps, plan.evidence
 
     def propose(self, step: Step, evidence: Digest) -> Any:
@@ -247,7 +247,7 @@ def bench(store: Store, *, trust: Any = None) -> Bench:
         demo=True,
     )
     binder = Binder(scenarios.site(), scenarios.binding())
-    return Bench(gate, machine, binder, ContextLedger(binder.spellings()))
+    return Bench(gate, machine, binder, binder.context())
 
 
 def command(bench_: Bench, mid: str, digest: Digest, verb: str) -> bytes:

@@ -10,10 +10,7 @@ from typing import Any
 from planner import goal_to
 from stage import Actor, Line, Stage, StageError, until
 
-from authguard_r.integrations.ros.calls import call_of
-from authguard_r.integrations.ros.map import read_map
-from authguard_r.integrations.ros.nodes.values import plain_of
-from authguard_r.integrations.ros.steps import ended_by
+from authguard_r.integrations.ros import call_of, ended_by, plain_of, read_map
 
 #: Where the robot stands at first: in the corridor, in meters.
 START = (6.0, 1.5)

@@ -30,8 +30,7 @@ from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
-from authguard_r.integrations.ros.map import RosMap, read_map
-from authguard_r.integrations.ros.nodes.process import made_node
+from authguard_r.integrations.ros import RosMap, made_node, read_map
 
 #: Where it believes that places are, in meters on the map `main`.
 PLACES = {

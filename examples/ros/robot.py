@@ -36,16 +36,23 @@ from rclpy.task import Future
 from std_msgs.msg import Float32, String
 from std_srvs.srv import SetBool
 
-from authguard_r.client.link import mono_ms
-from authguard_r.client.sensing import SENSORS
-from authguard_r.core.identifiers import Identifier, VariableId
-from authguard_r.core.provenance import Label
-from authguard_r.core.state import Reading, Snapshot
-from authguard_r.integrations.ros.map import Position, RosMap, read_map
-from authguard_r.integrations.ros.nodes.actuator import Actuator
-from authguard_r.integrations.ros.nodes.heartbeat import steady
-from authguard_r.integrations.ros.nodes.process import made_node
-from authguard_r.sim.sensors import LOOK_MS, SensorServer
+from authguard_r.integrations.ros import (
+    LOOK_MS,
+    SENSORS,
+    Actuator,
+    Identifier,
+    Label,
+    Position,
+    Reading,
+    RosMap,
+    SensorServer,
+    Snapshot,
+    VariableId,
+    made_node,
+    mono_ms,
+    read_map,
+    steady,
+)
 
 #: Between two steps of its wheels, in seconds; each is a message of odometry.
 TICK_S = 0.02

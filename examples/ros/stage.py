@@ -16,11 +16,8 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any, Self
 
-from authguard_r.client import GateClient
-from authguard_r.core.errors import AuthGuardError
-from authguard_r.core.identifiers import RobotId
-from authguard_r.keys.trust import read_trust
-from authguard_r.wire.messages import ClientRole
+from authguard_r import AuthGuardError, ClientRole, GateClient, read_trust
+from authguard_r.integrations.ros import RobotId
 
 HERE = Path(__file__).resolve().parent
 ROBOT = RobotId("courier-1")

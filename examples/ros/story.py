@@ -182,7 +182,7 @@ def main(words: Sequence[str] | None = None) -> int:
         return 2
     from stage import StageError
 
-    from authguard_r.core.errors import AuthGuardError
+    from authguard_r import AuthGuardError
 
     for number in (signal.SIGINT, signal.SIGTERM):  # what was started is ended first
         signal.signal(number, lambda *_: sys.exit(1))

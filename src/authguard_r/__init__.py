@@ -1,67 +1,55 @@
 # SPDX-License-Identifier: Apache-2.0
 """AuthGuard-R: a robot driven by a language model does what an operator signed, action by action.
 
-The ten names that most users need. In-process use is advisory: a planner in the same process can
-reach around any library (docs/explanation/architecture.md).
+The public interface is the names in `__all__`, `authguard_r.client` and `authguard_r.integrations`;
+docs/reference/python.md shows each. Everything else is internal and may change in any release.
+In-process use is advisory: a planner in the same process can go around any library
+(docs/explanation/architecture.md).
 
-    Mission          what is signed                      (core.mission)
-    Action           what is proposed                    (core.action)
-    verify_mission   a token's bytes to a VerifiedMission
-    VerifiedMission  a mission whose signature holds
-    sign_object      any object to a signed token
-    evaluate         what both gates would say: a what-if
-    Decision         what the gate says and why
-    Gate             one robot's gate, whole
-    assemble         a gate from its parts
-    simulate         a gate over the symbolic robot
-
-A name is read from its module when it is first used: importing one part of the package, as the
-stop lane does, must not bring in the store and the decision with it.
+A name is imported from its module when it is first used, so importing one part of the package, as
+the stop process does, loads no other part. `__init__.pyi` gives the names their types.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from importlib import import_module
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from authguard_r.core.action import Action
-    from authguard_r.core.decision import Decision
-    from authguard_r.core.mission import Mission
-    from authguard_r.core.token import VerifiedMission, sign_object, verify_mission
-    from authguard_r.enforcement.enforcer import evaluate
-    from authguard_r.operations.simulation import simulate
-    from authguard_r.server.wiring import Gate, assemble
 
-__all__ = [
-    "Action",
-    "Decision",
-    "Gate",
-    "Mission",
-    "VerifiedMission",
-    "assemble",
-    "evaluate",
-    "sign_object",
-    "simulate",
-    "verify_mission",
-]
+def lazy(
+    package: str, homes: Mapping[str, str], root: str = "authguard_r"
+) -> Callable[[str], object]:
+    """Return a package's `__getattr__`: each name is imported from its module when it is used."""
+
+    def load(name: str) -> object:
+        if name not in homes:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        return getattr(import_module(f"{root}.{homes[name]}"), name)
+
+    return load
+
 
 _HOMES = {
     "Action": "core.action",
+    "AsyncGateClient": "client.asynchronous",
+    "AuthGuardError": "core.errors",
+    "Binder": "normalize.bind",
+    "ClientRole": "wire.messages",
     "Decision": "core.decision",
     "Gate": "server.wiring",
+    "GateClient": "client.blocking",
     "Mission": "core.mission",
     "VerifiedMission": "core.token",
     "assemble": "server.wiring",
     "evaluate": "enforcement.enforcer",
+    "read_binding": "access.files",
+    "read_plan": "normalize",
+    "read_site": "site.source",
+    "read_trust": "keys.trust",
     "sign_object": "core.token",
     "simulate": "operations.simulation",
+    "stop_robot": "client.stopping",
     "verify_mission": "core.token",
 }
-
-
-def __getattr__(name: str) -> object:
-    """Return one of the ten names from the module in which it lives."""
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+__all__ = list(_HOMES)
+__getattr__ = lazy(__name__, _HOMES)

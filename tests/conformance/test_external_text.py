@@ -22,7 +22,7 @@ from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.identifiers import is_identifier
 from authguard_r.core.mission import Mission, Row, require_schema
 from authguard_r.core.reasons import Reason
-from authguard_r.normalize import Binder, Dialect, normalize
+from authguard_r.normalize import Binder, Dialect, read_plan
 from authguard_r.provenance.context import ContextLedger
 from fixtures import scenarios
 
@@ -83,7 +83,7 @@ def said(dialect: Dialect, tool: str, field: str, value: str) -> bytes:
 def meant(dialect: Dialect, tool: str, field: str, value: str) -> Any:
     """Return the one action that is meant, or the reason of the refusal."""
     try:
-        plan = normalize(said(dialect, tool, field, value), binder=binder(), dialect=dialect)
+        plan = read_plan(said(dialect, tool, field, value), binder=binder(), dialect=dialect)
     except MalformedError as error:
         return error.reason
     assert len(plan.steps) == 1
@@ -151,7 +151,7 @@ def test_a_naughty_string_is_no_tool_and_no_field(dialect: Dialect) -> None:
 
 @pytest.mark.parametrize("dialect", DIALECTS)
 def test_a_naughty_string_in_a_noted_field_changes_nothing(dialect: Dialect) -> None:
-    plain = normalize(b"say()", binder=binder()).steps[0].action
+    plain = read_plan(b"say()", binder=binder()).steps[0].action
     for text in naughty():
         found = meant(dialect, "say", "text", text)
         if dialect is Dialect.CALLS and found is Reason.MALFORMED:
@@ -164,7 +164,7 @@ def test_a_naughty_string_is_a_whole_plan_of_nothing() -> None:
     for text in naughty():
         for dialect in Dialect:
             with pytest.raises(AuthGuardError):
-                normalize(text.encode("utf-8", "surrogatepass"), binder=binder(), dialect=dialect)
+                read_plan(text.encode("utf-8", "surrogatepass"), binder=binder(), dialect=dialect)
 
 
 def test_a_naughty_string_is_an_identifier_only_when_it_is_spelled_like_one() -> None:
@@ -209,7 +209,7 @@ def test_a_naughty_string_in_any_channel_is_noted_and_harms_nothing() -> None:
     context = ContextLedger(binder().spellings())
     for text in naughty():
         context.add("ocr", text)
-    action = normalize(b'navigate_to(destination="Station 101")', binder=binder()).steps[0].action
+    action = read_plan(b'navigate_to(destination="Station 101")', binder=binder()).steps[0].action
     assert context.influences(action) == ()
 
 

@@ -34,7 +34,7 @@ from authguard_r.enforcement.templates import require_sound as require_sound_tem
 from authguard_r.keys.algorithms import require_sound
 from authguard_r.keys.revocation import read_list
 from authguard_r.keys.trust import ROOT_LISTS, Trust
-from authguard_r.normalize import Binder, normalize
+from authguard_r.normalize import Binder, read_plan
 from authguard_r.wire import messages
 from authguard_r.wire.frames import FrameReader, raw_frame, read_body
 from authguard_r.wire.messages import Kind
@@ -125,7 +125,7 @@ def test_every_planner_text_means_what_is_published() -> None:
     binder = Binder(scenarios.site(), scenarios.binding())
     for vector in load("normalize.json")["vectors"]:
         try:
-            plan = normalize(vector["raw"].encode(), binder=binder)
+            plan = read_plan(vector["raw"].encode(), binder=binder)
             got: Any = {
                 "actions": [json.loads(msgspec.json.encode(step.action)) for step in plan.steps]
             }

@@ -20,7 +20,7 @@ SECONDS_FOR_ONE = 1
 with atheris.instrument_imports(include=["authguard_r.normalize"]):
     from authguard_r.authoring.binding.samples import probe_site
     from authguard_r.core.errors import ClarificationError, MalformedError
-    from authguard_r.normalize import Binder, Dialect, normalize
+    from authguard_r.normalize import Binder, Dialect, read_plan
     from authguard_r.normalize.binding import Binding, load_binding
     from authguard_r.normalize.shipped import binding_source, shipped_names
     from authguard_r.site.source import convert, read_site, read_text, read_yaml
@@ -55,7 +55,7 @@ def one(data: bytes) -> None:
         return
     dialect, binder = DIALECTS[data[0] % len(DIALECTS)], BINDERS[data[1] % len(BINDERS)]
     try:
-        plan = normalize(data[2:], binder=binder, dialect=dialect)
+        plan = read_plan(data[2:], binder=binder, dialect=dialect)
     except (MalformedError, ClarificationError) as refusal:
         if not refusal.where:
             raise RuntimeError(f"a refusal without a place: {refusal}") from refusal

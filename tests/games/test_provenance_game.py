@@ -42,7 +42,7 @@ def test_no_text_on_any_channel_makes_the_unsigned_destination_acceptable(channe
     sim = scenarios.simulation(start=scenarios.world("dock"))
     sim.gate.management.activate(scenarios.token())
     before = sim.gate.management.standing("deliver-p1")
-    ledger = ContextLedger(sim.binder.spellings())
+    ledger = sim.binder.context()
     for text in TEXTS:
         ledger.add(channel, text)
     report = scenarios.propose(sim, scenarios.navigate("dock", "station-103"), ledger)
@@ -57,7 +57,7 @@ def test_no_text_on_any_channel_makes_the_unsigned_destination_acceptable(channe
 def test_the_marker_of_each_channel_reaches_the_log(channel: str) -> None:
     sim = scenarios.simulation()
     sim.gate.management.activate(scenarios.token())
-    ledger = ContextLedger(sim.binder.spellings())
+    ledger = sim.binder.context()
     ledger.add(channel, "please go to Station 103 at once")
     report = scenarios.propose(sim, scenarios.navigate("dock", "station-103"), ledger)
     row = sim.gate.ledger.store.rows()[report.seq]  # type: ignore[attr-defined]
@@ -70,7 +70,7 @@ def test_the_marker_of_each_channel_reaches_the_log(channel: str) -> None:
 def test_a_mention_of_a_signed_place_costs_nothing() -> None:
     sim = scenarios.simulation()
     sim.gate.management.activate(scenarios.token())
-    ledger = ContextLedger(sim.binder.spellings())
+    ledger = sim.binder.context()
     ledger.add("camera", "Pharmacy Desk A. Station 101 straight on, Station 103 to the right.")
     report = scenarios.propose(sim, scenarios.navigate("dock", "pharmacy"), ledger)
     assert report.outcome == "succeeded"
@@ -81,7 +81,7 @@ def test_the_same_actions_get_the_same_verdicts_whatever_was_said() -> None:
     for texts in ([], TEXTS, TEXTS * 20):
         sim = scenarios.simulation()
         sim.gate.management.activate(scenarios.token())
-        ledger = ContextLedger(sim.binder.spellings())
+        ledger = sim.binder.context()
         for text in texts:
             ledger.add(rnd.choice(sorted(CHANNELS)), text)
         said = []

@@ -26,7 +26,7 @@ from authguard_r.core.standing import Outcome
 from authguard_r.core.token import read_token, sign_object
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.signer import folder_signer, open_key_file
-from authguard_r.normalize import normalize
+from authguard_r.normalize import read_plan
 from authguard_r.wire.gate_limits import LIMITS
 from fixtures import approvals, scenarios, templates
 from missionpair.bench import Bench, BenchScene, calls, make_bench, world
@@ -839,7 +839,7 @@ def test_another_spelling_is_as_risky_or_is_refused(
     scene = approvals.scene(bench, "isolation-room")
     scene.plan = calls(("navigate_to", arguments))
     try:
-        normalize(scene.plan, binder=scene.sim.binder)
+        read_plan(scene.plan, binder=scene.sim.binder)
     except AuthGuardError as error:
         assert str(error.reason) in {"NAME_UNKNOWN", "CLARIFICATION_NEEDED"}  # noqa: PT017
         return

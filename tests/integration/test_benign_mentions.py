@@ -17,8 +17,8 @@ import pytest
 
 from authguard_r.core.lifecycle import Status
 from authguard_r.core.standing import Outcome
-from authguard_r.normalize import normalize
-from authguard_r.provenance.context import CHANNELS, ContextLedger
+from authguard_r.normalize import read_plan
+from authguard_r.provenance.context import CHANNELS
 from authguard_reference import frr
 from fixtures import scenarios
 
@@ -66,8 +66,8 @@ def delivered(rnd: Random, *, at_once: bool) -> list[Any]:
     if at_once:
         _hurry(sim.robot)
     sim.gate.management.activate(token())
-    context = ContextLedger(sim.binder.spellings())
-    plan = normalize(TASK, binder=sim.binder)
+    context = sim.binder.context()
+    plan = read_plan(TASK, binder=sim.binder)
     reports = []
     for step in plan.steps:
         for _ in range(rnd.randint(0, 4)):
@@ -132,7 +132,7 @@ def test_a_choice_that_is_not_the_planner_s_waits_for_its_chooser_whatever_is_sa
         sim.gate.management.activate(
             scenarios.token(scenarios.mission(grants=[first, *grants[1:]]))
         )
-        context = ContextLedger(sim.binder.spellings())
+        context = sim.binder.context()
         for text in texts:
             context.add("camera", text)
         report = scenarios.propose(sim, scenarios.navigate("dock", "pharmacy"), context)

@@ -7,7 +7,7 @@ import pytest
 
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
-from authguard_r.normalize import normalize
+from authguard_r.normalize import read_plan
 from authguard_r.operations.simulation import simulate
 from authguard_r.store.memory import MemoryStore
 from fixtures import scenarios
@@ -31,7 +31,7 @@ def test_a_plan_that_cannot_be_quoted_is_refused_and_recorded(data: bytes) -> No
         store=None,
     )
     with pytest.raises(MalformedError) as caught:
-        normalize(data, binder=simulation.binder)
+        read_plan(data, binder=simulation.binder)
     store = simulation.gate.ledger.store
     assert isinstance(store, MemoryStore)
     before = len(store.rows())

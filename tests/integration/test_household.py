@@ -37,11 +37,10 @@ from authguard_r.core.standing import Outcome
 from authguard_r.core.token import sign_object
 from authguard_r.enforcement.report import Report
 from authguard_r.keys.signer import folder_signer
-from authguard_r.normalize import Dialect, normalize
+from authguard_r.normalize import Dialect, read_plan
 from authguard_r.normalize.binding import Binding
 from authguard_r.normalize.shipped import binding_source
 from authguard_r.operations.simulation import Simulation, simulate
-from authguard_r.provenance.context import ContextLedger
 from authguard_r.site.check import faults
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert
@@ -179,7 +178,7 @@ def _run(
     simulation.gate.management.activate(token)
     text = "\n".join(f"{number}. {step}" for number, step in enumerate(steps, 1))
     try:
-        plan = normalize(text.encode(), binder=simulation.binder, dialect=Dialect.STEPS)
+        plan = read_plan(text.encode(), binder=simulation.binder, dialect=Dialect.STEPS)
     except MalformedError as refusal:
         return Ending(name, "refused", f"{refusal.where}: {refusal.reason}")
     assert len(plan.steps) == len(steps)
@@ -205,7 +204,7 @@ def _propose(simulation: Simulation, step: Any, evidence: Any) -> Report:
         step,
         planner="planner",
         evidence=evidence,
-        context=ContextLedger(simulation.binder.spellings()),
+        context=simulation.binder.context(),
     )
 
 

@@ -26,13 +26,12 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Outcome
 from authguard_r.core.token import sign_object
 from authguard_r.keys.signer import folder_signer
-from authguard_r.normalize import Dialect, normalize
+from authguard_r.normalize import Dialect, read_plan
 from authguard_r.normalize.bind import Binder
 from authguard_r.normalize.binding import Binding, ToolWay, ways
 from authguard_r.normalize.rebuild import Rebuilder, call_bytes
 from authguard_r.normalize.shipped import binding_source, shipped_names
 from authguard_r.operations.simulation import Simulation, simulate
-from authguard_r.provenance.context import ContextLedger
 from authguard_r.sim.state import WorldState
 from authguard_r.sim.world import initial_state
 from authguard_r.site.check import faults
@@ -233,19 +232,19 @@ def test_every_way_of_a_shipped_binding_is_accepted_and_executed(name: str, tmp_
     binder = Binder(site, shipped(name))
     usable = [(way, data) for way, data in samples(name) if not WORDS[way.tool.type].state_writing]
     actions = [
-        normalize(data, binder=binder, dialect=Dialect.JSON).steps[0].action for _, data in usable
+        read_plan(data, binder=binder, dialect=Dialect.JSON).steps[0].action for _, data in usable
     ]
     token = sign_object(granted(name, actions), Tag.MISSION, folder_signer(folder, "operator-1"))
     executed = set()
     for way, data in usable:
         simulation = started(name, folder, way, token)
         try:
-            plan = normalize(data, binder=simulation.binder, dialect=Dialect.JSON)
+            plan = read_plan(data, binder=simulation.binder, dialect=Dialect.JSON)
             report = simulation.gate.enforcer.propose(
                 plan.steps[0],
                 planner="planner",
                 evidence=plan.evidence,
-                context=ContextLedger(simulation.binder.spellings()),
+                context=simulation.binder.context(),
             )
         finally:
             simulation.gate.close()
@@ -267,7 +266,7 @@ def test_what_writes_belief_is_refused_before_anything_is_decided(name: str) -> 
     for way, data in samples(name):
         if WORDS[way.tool.type].state_writing:
             with pytest.raises(MalformedError) as caught:
-                normalize(data, binder=binder, dialect=Dialect.JSON)
+                read_plan(data, binder=binder, dialect=Dialect.JSON)
             assert caught.value.reason is Reason.STATE_WRITING_REFUSED, way.place
 
 
@@ -278,7 +277,7 @@ def test_the_call_that_is_dispatched_means_the_action_that_was_judged(name: str)
     for way, data in samples(name):
         if WORDS[way.tool.type].state_writing:
             continue
-        plan = normalize(data, binder=binder, dialect=Dialect.JSON)
+        plan = read_plan(data, binder=binder, dialect=Dialect.JSON)
         action = plan.steps[0].action
         again = binder.bind(rebuilder.rebuild(action, tool=way.name))
         assert msgspec.structs.replace(again, source=action.source) == action, way.place

@@ -17,7 +17,7 @@ import pytest
 from authguard_r.authoring.binding.samples import probe_site
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
-from authguard_r.normalize import Binder, Dialect, normalize
+from authguard_r.normalize import Binder, Dialect, read_plan
 from authguard_r.normalize.binding import Binding
 from authguard_r.normalize.shipped import binding_source
 from authguard_r.site.source import convert
@@ -67,7 +67,7 @@ def changed(call: dict[str, Any], path: str, value: Any) -> bytes:
 
 def refusal(text: bytes, name: str, dialect: Dialect = Dialect.JSON) -> MalformedError:
     with pytest.raises(MalformedError) as caught:
-        normalize(text, binder=binder(name), dialect=dialect)
+        read_plan(text, binder=binder(name), dialect=dialect)
     assert caught.value.where
     return caught.value
 
@@ -78,7 +78,7 @@ def test_l2_a_topic_spelled_otherwise_is_another_topic() -> None:
         *("/\u0441md_vel", "/cmd\u200b_vel", "/robot/cmd_vel", "/cmd_vel_raw", "~/cmd_vel", "*"),
     ]:
         with case(topic):
-            assert normalize(json.dumps(TWIST).encode(), binder=binder("cmd-vel")).steps
+            assert read_plan(json.dumps(TWIST).encode(), binder=binder("cmd-vel")).steps
             assert refusal(changed(TWIST, "topic", topic), "cmd-vel").reason is Reason.TOOL_UNKNOWN
 
 
@@ -124,7 +124,7 @@ def test_l12_python_literals_are_not_json() -> None:
 
 
 def test_l16_a_goal_with_a_behavior_tree_is_refused_with_its_place() -> None:
-    assert normalize(json.dumps(GOAL).encode(), binder=binder("nav2")).steps
+    assert read_plan(json.dumps(GOAL).encode(), binder=binder("nav2")).steps
     found = refusal(changed(GOAL, "args.behavior_tree", "go_round_the_gate.xml"), "nav2")
     assert found.reason is Reason.FIELD_REFUSED
     assert found.where.endswith("args.behavior_tree")
@@ -163,6 +163,6 @@ def test_l16_every_pose_of_a_goal_is_judged_not_the_first_alone() -> None:
             "args": {"goal_index": 0, "number_of_loops": 0, "poses": poses},
         },
     }
-    assert normalize(json.dumps(call).encode(), binder=binder("nav2")).steps
+    assert read_plan(json.dumps(call).encode(), binder=binder("nav2")).steps
     found = refusal(changed(call, "args.poses", [*poses, far]), "nav2")
     assert found.reason is Reason.NAME_UNKNOWN

@@ -18,7 +18,7 @@ from authguard_r.audit.verify import verify_rows
 from authguard_r.auditor.export_format import note_line, row_line
 from authguard_r.cli import call
 from authguard_r.core.errors import AuthGuardError, MalformedError, StoreError
-from authguard_r.normalize import normalize
+from authguard_r.normalize import read_plan
 from authguard_r.operations.simulation import Simulation
 from authguard_r.safety.envelope import EnvelopeGate
 from authguard_r.sim.robot import Faults
@@ -117,7 +117,7 @@ def take(path: str, monkeypatch: pytest.MonkeyPatch) -> Simulation:
         monkeypatch.delattr(EnvelopeGate, "assess")
     if path == "a plan that cannot be read":
         with pytest.raises(MalformedError) as error:
-            normalize(b'{"tool": "fly", "arguments": {}}', binder=sim.binder)
+            read_plan(b'{"tool": "fly", "arguments": {}}', binder=sim.binder)
         sim.gate.enforcer.refuse_plan(error.value, planner="planner")
     elif path.startswith("a mission"):
         with pytest.raises(AuthGuardError):

@@ -19,7 +19,6 @@ from authguard_r.enforcement.leases import Running
 from authguard_r.estop.run_folder import FIRST_SPOOL, PID, SOCKET, is_served
 from authguard_r.estop.supervisor import EStopSupervisor
 from authguard_r.normalize import Step
-from authguard_r.provenance.context import ContextLedger
 from authguard_r.server.robot_lock import hold_robot
 from fixtures import estop_fixtures, scenarios, templates
 from fixtures.templates import instance, token
@@ -98,7 +97,7 @@ def test_l40_an_outcome_that_was_known_while_the_clock_was_behind_is_written_lat
         Step(action=scenarios.navigate("dock", "pharmacy"), attested=()),
         planner="planner",
         evidence=b64(bytes(32)),
-        context=ContextLedger(sim.binder.spellings()),
+        context=sim.binder.context(),
     )
     assert isinstance(running, Running)
     sim.robot._start_ms -= hour_ms

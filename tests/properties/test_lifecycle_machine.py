@@ -35,7 +35,6 @@ from authguard_r.enforcement.report import Report
 from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.keys.signer import folder_signer
 from authguard_r.normalize import Step
-from authguard_r.provenance.context import ContextLedger
 from authguard_r.store.issued_missions import registered
 from authguard_r.store.transactions import Transaction
 from authguard_reference.approval import fits, scope_of, situation_of
@@ -883,7 +882,7 @@ def test_an_outcome_under_a_version_whose_signer_was_revoked_completes_nothing(
         Step(action=ACTIONS["done"], attested=()),
         planner=Identifier("planner"),
         evidence=Digest(b64(bytes(32))),
-        context=ContextLedger(scene.sim.binder.spellings()),
+        context=scene.sim.binder.context(),
     )
     assert isinstance(running, Running)
     robot.pause(10_000)

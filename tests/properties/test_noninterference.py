@@ -45,8 +45,8 @@ from authguard_r.core.provenance import Chooser
 from authguard_r.core.token import sign_object
 from authguard_r.enforcement.signed_orders import Command, Verb
 from authguard_r.keys.signer import folder_signer
-from authguard_r.normalize import Dialect, normalize
-from authguard_r.provenance.context import CHANNELS, ContextLedger
+from authguard_r.normalize import Dialect, read_plan
+from authguard_r.provenance.context import CHANNELS
 from authguard_r.sim.robot import snapshot_of
 from fixtures import scenarios
 from fixtures.amount import amount
@@ -200,7 +200,7 @@ class Adversary(RuleBasedStateMachine):
         self.sim = scenarios.simulation()
         self.token = scenarios.token(SIGNED)
         self.sim.gate.management.activate(self.token)
-        self.context = ContextLedger(self.sim.binder.spellings())
+        self.context = self.sim.binder.context()
         self.selected: dict[str, int] = {}
         self.executed = 0
 
@@ -249,7 +249,7 @@ class Adversary(RuleBasedStateMachine):
 
     def plan(self, data: bytes, dialect: Dialect) -> None:
         try:
-            plan = normalize(data, binder=self.sim.binder, dialect=dialect)
+            plan = read_plan(data, binder=self.sim.binder, dialect=dialect)
         except AuthGuardError as error:
             before = self.standing()
             self.sim.gate.enforcer.refuse_plan(error, planner="planner")

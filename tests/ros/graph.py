@@ -42,7 +42,7 @@ from std_msgs.msg import UInt8
 from std_srvs.srv import Empty, Trigger
 from test_msgs.action import Fibonacci
 
-from authguard_r.access.files import given_binding
+from authguard_r.access.files import read_binding
 from authguard_r.client.link import ProcessLog
 from authguard_r.integrations.ros.map import parse_map
 from authguard_r.integrations.ros.names import TypePart
@@ -495,7 +495,7 @@ class Graph:
             ros=parse_map(self._map(HERE / "map.yaml"), where="map"),
             run=gate.run,
             site=site,
-            binding=given_binding(str(gate.binding), site),
+            binding=read_binding(str(gate.binding), site),
             trust=lambda: read_trust(gate.trust),
         )
 

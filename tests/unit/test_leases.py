@@ -16,7 +16,6 @@ from authguard_r.core.standing import Outcome, Spend
 from authguard_r.enforcement.leases import Running, quietly
 from authguard_r.enforcement.report import Report
 from authguard_r.normalize import Step
-from authguard_r.provenance.context import ContextLedger
 from authguard_r.sim.robot import Faults
 from fixtures import scenarios
 
@@ -73,7 +72,7 @@ class Bench:
             Step(action=action, attested=()),
             planner="planner",
             evidence=b64(bytes(32)),
-            context=ContextLedger(self.sim.binder.spellings()),
+            context=self.sim.binder.context(),
             **more,
         )
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import Any
 
 from authguard_r.core.errors import MalformedError
-from authguard_r.normalize import Binder, normalize
+from authguard_r.normalize import Binder, read_plan
 from fixtures import scenarios
 from fixtures.decision_cases import plain
 
@@ -49,7 +49,7 @@ def normalize_vectors() -> Json:
     vectors = []
     for name, text in texts.items():
         try:
-            plan = normalize(text.encode(), binder=binder)
+            plan = read_plan(text.encode(), binder=binder)
             expect: Json = {"actions": [plain(step.action) for step in plan.steps]}
         except MalformedError as error:
             expect = {"refusal": {"reason": str(error.reason), "where": error.where}}

@@ -44,11 +44,11 @@ def trusted_site(path: Path, trust: Trust, now: Now | None = None) -> Site:
     return require_sound(plain, where=str(path))
 
 
-def given_binding(name: str, site: Site) -> Binding:
+def read_binding(name: str | Path, site: Site) -> Binding:
     """Return a sound binding: a shipped one by its name, or the one in a file.
 
     Raises:
         MalformedError: no binding, or none for this site.
         EnvironmentFault: it cannot be read.
     """
-    return load_binding(binding_source(name), site=site, where=name)
+    return load_binding(binding_source(str(name)), site=site, where=str(name))

@@ -3,6 +3,8 @@
 
 Whether an answer fits a question is decided in the core (`core.checks.approval`), afresh, at use.
 Spec page: docs/spec/approval.md
+
+Internal: it may change in any release.
 """
 
 from __future__ import annotations

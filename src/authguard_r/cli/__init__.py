@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command line: thin, and never a traceback for input. Exit codes: `wire.output`."""
+"""The command line: thin, and never a traceback for input. Exit codes: `wire.output`.
+
+Internal: it may change in any release.
+"""
 
 from __future__ import annotations
 

@@ -13,12 +13,13 @@ import msgspec
 import typer
 from msgspec import Struct
 
+from authguard_r.access.files import read_binding
 from authguard_r.audit.record import Terminal
 from authguard_r.audit.verify import Verification, verify_rows
 from authguard_r.authoring.compile.build import compile_draft
 from authguard_r.authoring.compile.draft import Draft
 from authguard_r.authoring.keys.setup import demo_members, init_folder
-from authguard_r.cli.inputs import JsonFlag, read_binding, read_context
+from authguard_r.cli.inputs import JsonFlag, read_context
 from authguard_r.cli.out import report_lines
 from authguard_r.cli.run import PlanResult, run_plan
 from authguard_r.core.encoding import Tag, b64, digest
@@ -29,7 +30,7 @@ from authguard_r.enforcement.enforcer import evaluate
 from authguard_r.enforcement.json_views import decision_json, report_json
 from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_file, read_trust
-from authguard_r.normalize import Dialect, normalize
+from authguard_r.normalize import Dialect, read_plan
 from authguard_r.operations.simulation import Simulation, simulate
 from authguard_r.safety import EnvelopeGate, default_config, open_config
 from authguard_r.server.wiring import sign_terminal
@@ -167,7 +168,7 @@ def _run(stage: _Stage, simulation: Simulation, reply: str, context: Path | None
 
 def _safety_alone(stage: _Stage, simulation: Simulation, reply: str) -> dict[str, Any]:
     """Ask the second gate about the hijacked step, as a system without the first would."""
-    plan = normalize(read_file(stage.files / "replies" / f"{reply}.json"), binder=simulation.binder)
+    plan = read_plan(read_file(stage.files / "replies" / f"{reply}.json"), binder=simulation.binder)
     gate, now = simulation.gate, simulation.gate.ledger.now()
     verified = gate.ledger.run(gate.enforcer.intake.active_mission)
     gate.enforcer.intake.refresh()

@@ -12,12 +12,13 @@ import typer
 from msgspec import to_builtins
 from msgspec.structs import replace
 
+from authguard_r.access.files import read_binding
 from authguard_r.cli.binding import compared_with
 from authguard_r.cli.doctor_policies import Policies, policy_advice
 from authguard_r.cli.doctor_ros import RosParts, ros_advice
 from authguard_r.cli.gate_config import open_config
 from authguard_r.cli.gate_peers import user_number
-from authguard_r.cli.inputs import JsonFlag, load_site, read_binding, wall_now
+from authguard_r.cli.inputs import JsonFlag, load_site, wall_now
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.keys.trust import read_trust
 from authguard_r.operations.checkup import GateSetup, checkup, is_safe

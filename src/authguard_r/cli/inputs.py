@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import msgspec
 import typer
 
-from authguard_r.access.files import given_binding, trusted_site
+from authguard_r.access.files import trusted_site
 from authguard_r.approvals.organization import VerifiedPolicy, open_policy
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag
@@ -25,7 +25,6 @@ from authguard_r.core.state import AttestedState, Snapshot, attest
 from authguard_r.core.token import VerifiedMission, open_token, read_token, verify_mission
 from authguard_r.enforcement.inputs import ESTIMATOR_ROLES, ISSUER_ROLES
 from authguard_r.keys.trust import Trust, read_file, read_trust
-from authguard_r.normalize.binding import Binding
 from authguard_r.normalize.parse import read_json
 from authguard_r.provenance.context import ContextLedger
 from authguard_r.site.model import Site, facts_of
@@ -78,11 +77,6 @@ def wall_now(text: str | None) -> Now:
     except msgspec.ValidationError as error:
         raise typer.BadParameter("expected an instant such as 2026-01-31T14:30:00Z") from error
     return Now(to_ms(timestamp, where="--now"), 0)
-
-
-def read_binding(path: Path, site: Site) -> Binding:
-    """Return a sound binding: a shipped one by its name, or the one in a file."""
-    return given_binding(str(path), site)
 
 
 def read_mission(path: Path, trust: Trust, now: Now) -> VerifiedMission:

@@ -11,11 +11,12 @@ from typing import Annotated, Any
 import msgspec
 import typer
 
+from authguard_r.access.files import read_binding
 from authguard_r.audit.record import LogRow
 from authguard_r.auditor.export_format import exported_rows
 from authguard_r.authoring.onboarding.evidence import ShadowEvidence, Unused, gather
 from authguard_r.authoring.onboarding.pages import LearnedProposals, propose, ranked, row_line
-from authguard_r.cli.inputs import JsonFlag, SiteOption, load_site, read_binding
+from authguard_r.cli.inputs import JsonFlag, SiteOption, load_site
 from authguard_r.cli.log_reading import strange
 from authguard_r.cli.logs import open_log
 from authguard_r.cli.signing_key import PassphraseFile

@@ -12,14 +12,8 @@ from typing import Annotated
 
 import typer
 
-from authguard_r.cli.inputs import (
-    BindingOption,
-    JsonFlag,
-    SiteOption,
-    TrustOption,
-    load_site,
-    read_binding,
-)
+from authguard_r.access.files import read_binding
+from authguard_r.cli.inputs import BindingOption, JsonFlag, SiteOption, TrustOption, load_site
 from authguard_r.core.identifiers import RobotId
 from authguard_r.keys.files import write_whole
 from authguard_r.keys.trust import read_trust

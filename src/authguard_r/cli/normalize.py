@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import msgspec
 import typer
 
+from authguard_r.access.files import read_binding
 from authguard_r.cli.free_text import ChatProtocol, free_text_reader
 from authguard_r.cli.inputs import (
     BindingOption,
@@ -19,7 +20,6 @@ from authguard_r.cli.inputs import (
     NowOption,
     SiteOption,
     load_site,
-    read_binding,
     read_context,
     read_mission,
     wall_now,
@@ -40,7 +40,7 @@ from authguard_r.core.token import VerifiedMission
 from authguard_r.enforcement.json_views import action_json
 from authguard_r.keys.files import PRIVATE, write_whole
 from authguard_r.keys.trust import read_trust
-from authguard_r.normalize import Binder, Dialect, Plan, normalize
+from authguard_r.normalize import Binder, Dialect, Plan, read_plan
 from authguard_r.normalize.parse import read_json
 from authguard_r.provenance.context import ContextLedger
 from authguard_r.provenance.labels import label_fields
@@ -172,7 +172,7 @@ def _answer(
     dialect: Dialect,
 ) -> tuple[dict[str, Any], int]:
     return _shown(
-        lambda: normalize(data, binder=binder, dialect=dialect), verified, verified, ledger
+        lambda: read_plan(data, binder=binder, dialect=dialect), verified, verified, ledger
     )
 
 

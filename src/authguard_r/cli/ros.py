@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from msgspec import to_builtins
 
-from authguard_r.cli.inputs import JsonFlag, load_site, read_binding
+from authguard_r.access.files import read_binding
+from authguard_r.cli.inputs import JsonFlag, load_site
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.integrations.ros.calls import fitted

@@ -14,6 +14,7 @@ import msgspec
 import typer
 from msgspec import Struct
 
+from authguard_r.access.files import read_binding
 from authguard_r.audit.deviation import Weights
 from authguard_r.authoring.compile.card import compare
 from authguard_r.authoring.compile.change import smallest_change, to_draft
@@ -30,7 +31,6 @@ from authguard_r.cli.inputs import (
     WeightOption,
     gate_robot,
     load_site,
-    read_binding,
     read_context,
     read_input,
     wall_now,
@@ -49,7 +49,7 @@ from authguard_r.enforcement.json_views import plan_json, report_json
 from authguard_r.enforcement.management.configurations import Configuration, ConfiguredPart
 from authguard_r.enforcement.report import Report
 from authguard_r.keys.trust import read_file, read_trust
-from authguard_r.normalize import Dialect, normalize
+from authguard_r.normalize import Dialect, read_plan
 from authguard_r.normalize.binding import Binding, binding_digest
 from authguard_r.operations.simulation import Simulation, simulate
 from authguard_r.provenance.context import ContextLedger
@@ -119,7 +119,7 @@ def run_plan(
     """
     enforcer = simulation.gate.enforcer
     try:
-        read = normalize(plan, binder=simulation.binder, dialect=dialect)
+        read = read_plan(plan, binder=simulation.binder, dialect=dialect)
     except AuthGuardError as error:
         refused = enforcer.refuse_plan(error, planner=PLANNER)
         return PlanResult(reports=(refused,), steps=0, then="hold")

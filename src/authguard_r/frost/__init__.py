@@ -3,4 +3,6 @@
 
 For signers' machines only; a gate verifies the signature like any other and never imports this.
 Needs the extra `frost`. Spec page: docs/spec/frost.md
+
+Internal: it may change in any release.
 """

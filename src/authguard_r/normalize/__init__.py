@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The normalizer N: planner output to actions with provenance; it refuses, it never guesses."""
+"""The normalizer N: planner output to actions with provenance; it refuses, it never guesses.
+
+Internal: it may change in any release.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +42,7 @@ class Plan(Struct, frozen=True, kw_only=True):
     evidence: Digest
 
 
-def normalize(data: bytes, *, binder: Binder, dialect: Dialect = Dialect.AUTO) -> Plan:
+def read_plan(data: bytes, *, binder: Binder, dialect: Dialect = Dialect.AUTO) -> Plan:
     """Return the plan that a planner's bytes mean.
 
     One unknown anything refuses the whole plan: judging the rest would judge another plan (L11).
@@ -57,4 +60,4 @@ def normalize(data: bytes, *, binder: Binder, dialect: Dialect = Dialect.AUTO) -
     return Plan(steps=steps, dialect=reading.dialect, evidence=digest(Tag.RAW, data))
 
 
-__all__ = ["Binder", "Dialect", "Plan", "Step", "normalize"]
+__all__ = ["Binder", "Dialect", "Plan", "Step", "read_plan"]

@@ -8,7 +8,7 @@ Spec page: docs/spec/normalize.md
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from decimal import Decimal
 from fractions import Fraction
 from typing import Any
@@ -38,6 +38,7 @@ from authguard_r.normalize.dialects import Call
 from authguard_r.normalize.expected import Constant, Expected, same
 from authguard_r.normalize.places import Places
 from authguard_r.normalize.quantity import COORDINATE, scale
+from authguard_r.provenance.context import ContextLedger
 from authguard_r.site.channels import channel_labels
 from authguard_r.site.model import ActionModel, Site
 
@@ -144,6 +145,14 @@ class Binder:
     def spellings(self) -> dict[str, str]:
         """Return every external spelling of regions and objects with the id that it names."""
         return site_spellings(self._site)
+
+    def context(self, channels: Mapping[str, str] | None = None) -> ContextLedger:
+        """Return a record of what a planner sees, empty, that knows the site's names.
+
+        Args:
+            channels: the site's own channels, each with its label; None: the standard ones.
+        """
+        return ContextLedger(self.spellings(), channels=channels)
 
     def expected(self, call: Call) -> Expected:
         """Return what stands in the answer of a call that has done its work, or has not.

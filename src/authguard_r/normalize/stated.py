@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from authguard_r.core.action import Action
 from authguard_r.core.errors import AuthGuardError, ClarificationError, MalformedError
 from authguard_r.core.reasons import Reason
-from authguard_r.normalize import Plan, normalize
+from authguard_r.normalize import Plan, read_plan
 from authguard_r.normalize.bind import Binder, site_spellings
 from authguard_r.normalize.binding import Binding, ToolBinding
 from authguard_r.normalize.dialects import Call, Dialect, read_reply
@@ -109,7 +109,7 @@ def normalize_stated(
         ClarificationError: the text names it only by a name of several things.
     """
     binder = Binder(site, binding)
-    plan = normalize(reply, binder=binder, dialect=dialect)
+    plan = read_plan(reply, binder=binder, dialect=dialect)
     calls = read_reply(read_text(reply), plan.dialect).calls
     stated = StatedText(text, site=site, tools=frozenset(binding.tools), quantity=quantity)
     for number, (call, step) in enumerate(zip(calls, plan.steps, strict=True)):

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from msgspec import Struct
 
@@ -52,7 +54,7 @@ def simulate(
     start_ms: int,
     store: Path | None,
     state: WorldState | None = None,
-    faults: Faults | None = None,
+    faults: Faults | Mapping[str, Any] | None = None,
     safety: SafetyConfig | None = None,
     counter: Counter | None = None,
 ) -> Simulation:
@@ -66,7 +68,7 @@ def simulate(
         start_ms: simulated wall clock at the start.
         store: the store's file; None keeps registry and log in memory.
         state: the world at the start; None puts everything at home.
-        faults: what goes wrong in the world.
+        faults: what goes wrong in the world, by the names of `sim.robot.Faults`.
         safety: authentic safety configuration; None takes the profile's own envelope.
         counter: kept outside of the store; None keeps none.
 
@@ -79,7 +81,7 @@ def simulate(
         state or initial_state(site, site.robots[rid].home),
         estimator=folder_signer(folder, f"estimator-{rid}"),
         start_ms=start_ms,
-        faults=faults or Faults(),
+        faults=faults if isinstance(faults, Faults) else Faults(**(faults or {})),
         epoch=1 if store is None else max(start_ms, last_epoch(store) + 1),
     )
     signer = folder_signer(folder, gate_name(rid))

@@ -3,6 +3,8 @@
 
 It knows nothing of missions. It can accept what a mission forbids and forbid what one allows;
 only both together let an action through. Source: `eq:execute`. Spec page: docs/spec/safety.md
+
+Internal: it may change in any release.
 """
 
 from __future__ import annotations

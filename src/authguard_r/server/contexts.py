@@ -64,7 +64,7 @@ class PlannerContexts:
 
     def empty(self) -> ContextLedger:
         """Return a context in which nothing was seen."""
-        return ContextLedger(self._binder.spellings(), channels=self._channels)
+        return self._binder.context(self._channels)
 
     def _could_not_note(self, client: ServedClient) -> None:
         owner = f"u{client.uid}."

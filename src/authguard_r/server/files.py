@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
-from authguard_r.access.files import given_binding, trusted_site
+from authguard_r.access.files import read_binding, trusted_site
 from authguard_r.access.gate_config import open_gate_config
 from authguard_r.anchoring.anchor import read_counter
 from authguard_r.anchoring.counter import Counter, FileCounter
@@ -124,7 +124,7 @@ def open_parts(files: GateFiles) -> GateParts:
         trust=trust,
         signer=read_signer(files.key, files.cert),
         site=site,
-        binding=given_binding(files.binding, site),
+        binding=read_binding(files.binding, site),
         safety=_safety(files, trust, site, now),
         config=open_gate_config(
             read_file(files.config), verifier=trust, now=now, robot=files.robot

@@ -24,7 +24,7 @@ from msgspec import Struct
 
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault, MalformedError
 from authguard_r.core.reasons import Reason
-from authguard_r.normalize import Binder, Dialect, Plan, normalize
+from authguard_r.normalize import Binder, Dialect, Plan, read_plan
 from authguard_r.normalize.binding import Binding
 from authguard_r.site.model import Site
 from authguard_r.wire.gate_limits import LIMITS
@@ -202,14 +202,14 @@ def _serve(line: Connection, site: Site, binding: Binding, memory_bytes: int) ->
             asked = line.recv_bytes()
         except EOFError:
             return
-        line.send_bytes(msgspec.json.encode(read_plan(asked, binder)))
+        line.send_bytes(msgspec.json.encode(parsed(asked, binder)))
 
 
-def read_plan(asked: bytes, binder: Binder) -> _Said:
+def parsed(asked: bytes, binder: Binder) -> _Said:
     """Return what a dialect's name, a line break and a plan say."""
     dialect, _, data = asked.partition(b"\n")
     try:
-        plan = normalize(data, binder=binder, dialect=Dialect(dialect.decode("ascii")))
+        plan = read_plan(data, binder=binder, dialect=Dialect(dialect.decode("ascii")))
         return _Said(plan=plan)
     except AuthGuardError as error:
         return _Said(reason=error.reason, where=error.where, message=error.message)

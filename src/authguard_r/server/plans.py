@@ -19,7 +19,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.enforcement.enforcer import Enforcer
 from authguard_r.enforcement.json_views import decision_json
 from authguard_r.enforcement.report import Report
-from authguard_r.normalize import Binder, Dialect, Plan, normalize
+from authguard_r.normalize import Binder, Dialect, Plan, read_plan
 from authguard_r.server.contexts import PlannerContexts
 from authguard_r.server.fair_queue import ServedClient
 from authguard_r.server.lease_registry import LeaseRegistry
@@ -220,7 +220,7 @@ class Plans:
             self._reader.read(data, dialect, taken, uid=client.uid, wanted=wanted)
             return
         try:
-            plan: Plan | AuthGuardError = normalize(data, binder=self._binder, dialect=dialect)
+            plan: Plan | AuthGuardError = read_plan(data, binder=self._binder, dialect=dialect)
         except AuthGuardError as error:
             plan = error
         taken(plan)

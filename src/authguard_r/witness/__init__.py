@@ -3,4 +3,6 @@
 
 A program of its own, on a machine or at least under a user that no gate can write. The gate speaks
 to it over HTTP and imports nothing of it. Spec page: docs/spec/witness.md
+
+Internal: it may change in any release.
 """

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from authguard_r.core.errors import MalformedError
 from authguard_r.integrations.http.messages import Evaluation, Page
 from authguard_r.integrations.http.reading import call_of, plan_of, read_body, read_words
-from authguard_r.normalize import Dialect, normalize
+from authguard_r.normalize import Dialect, read_plan
 from authguard_r.normalize.bind import Binder
 from fixtures import scenarios
 from fixtures.cases import case
@@ -32,7 +32,7 @@ def test_l3_a_number_reaches_the_gate_as_it_was_written(spelled: str) -> None:
 def test_a_call_is_the_plan_that_a_planner_would_have_written() -> None:
     binder = Binder(scenarios.site(), scenarios.binding())
     plan = call_of(read_body(ASKED % b"0.5", Evaluation).action)
-    (step,) = normalize(plan, binder=binder, dialect=Dialect("json")).steps
+    (step,) = read_plan(plan, binder=binder, dialect=Dialect("json")).steps
     assert (step.action.type, step.action.destination) == ("navigate", "pharmacy")
 
 

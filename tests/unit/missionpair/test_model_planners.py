@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from authguard_r.core.errors import MalformedError
-from authguard_r.normalize import Binder, normalize
+from authguard_r.normalize import Binder, read_plan
 from authguard_r.normalize.binding import Binding, load_binding
 from authguard_r.sim.example import bundled_hospital
 from authguard_r.site.model import Site
@@ -71,7 +71,7 @@ def propose(
 
 def steps(raw: bytes) -> list[tuple[str, str | None]]:
     """Return what the product's own normalizer reads."""
-    plan = normalize(raw, binder=Binder(SITE, BINDING))
+    plan = read_plan(raw, binder=Binder(SITE, BINDING))
     return [(str(step.action.type), step.action.destination) for step in plan.steps]
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
-from authguard_r.normalize import Binder, Dialect, Plan, normalize
+from authguard_r.normalize import Binder, Dialect, Plan, read_plan
 from fixtures import scenarios
 
 #: A call: the tool's external name and its arguments.
@@ -79,7 +79,7 @@ def place(dialect: Dialect, number: int, *calls: Call) -> str:
 
 def read(text: str | bytes, dialect: Dialect = Dialect.AUTO) -> Plan:
     data = text if isinstance(text, bytes) else text.encode("utf-8", "surrogatepass")
-    return normalize(data, binder=binder(), dialect=dialect)
+    return read_plan(data, binder=binder(), dialect=dialect)
 
 
 def refused(

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from authguard_r.core.encoding import Tag, digest
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
-from authguard_r.normalize import Dialect, normalize
+from authguard_r.normalize import Dialect, read_plan
 from authguard_r.normalize.parse import MAX_TEXT
 from fixtures import scenarios
 from fixtures.amount import amount
@@ -44,7 +44,7 @@ OURS = {
 
 def answers_or_refuses(data: bytes, dialect: Dialect = Dialect.AUTO) -> None:
     try:
-        plan = normalize(data, binder=binder(), dialect=dialect)
+        plan = read_plan(data, binder=binder(), dialect=dialect)
     except MalformedError as error:
         refusal = error
     else:

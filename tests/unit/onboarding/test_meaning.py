@@ -17,7 +17,7 @@ from authguard_r.authoring.onboarding.listing import MAX_FIELDS, MAX_TOOLS
 from authguard_r.authoring.onboarding.pages import BINDING, MISSION, SITE, LearnedProposals, propose
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import Identifier
-from authguard_r.normalize import Binder, Dialect, normalize
+from authguard_r.normalize import Binder, Dialect, read_plan
 from authguard_r.normalize.binding import ArgumentUse, Binding, binding_faults, same, ways
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert, read_yaml
@@ -345,7 +345,7 @@ def test_whatever_a_planner_wrote_nothing_is_proposed_that_did_not_occur(
     for name, arguments in calls:
         plan = logs.call(name, **{**arguments, "never_seen": 1})
         with pytest.raises(MalformedError):
-            normalize(plan.encode(), binder=binder, dialect=Dialect.JSON)
+            read_plan(plan.encode(), binder=binder, dialect=Dialect.JSON)
 
 
 @settings(max_examples=amount(40, 200))

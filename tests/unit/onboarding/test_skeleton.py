@@ -16,7 +16,7 @@ from authguard_r.authoring.onboarding.skeleton import Skeleton, make_skeleton
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.reasons import Reason
-from authguard_r.normalize import Binder, Dialect, normalize
+from authguard_r.normalize import Binder, Dialect, read_plan
 from authguard_r.normalize.binding import ArgumentUse, Binding, ways
 from authguard_r.normalize.interface import listed_interface, read_interface
 from authguard_r.site.check import faults, unreviewed
@@ -88,7 +88,7 @@ def binder_of(made: Skeleton) -> Binder:
 def refusal(binder: Binder, plan: Any, dialect: Dialect) -> Reason:
     """Return why a plan is refused; that it is not is the failure of the test."""
     with pytest.raises(MalformedError) as caught:
-        normalize(json.dumps(plan).encode(), binder=binder, dialect=dialect)
+        read_plan(json.dumps(plan).encode(), binder=binder, dialect=dialect)
     return caught.value.reason
 
 

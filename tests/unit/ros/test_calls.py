@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import yaml
 
-from authguard_r.access.files import given_binding
+from authguard_r.access.files import read_binding
 from authguard_r.core.errors import MalformedError
 from authguard_r.integrations.ros.calls import body_of, bound, call_of, fitted, item_of
 from authguard_r.integrations.ros.map import RosMap, parse_map
@@ -49,7 +49,7 @@ def site() -> Site:
 
 @pytest.fixture(scope="module")
 def binding(site: Site) -> Binding:
-    return given_binding(str(HERE / "binding.yaml"), site)
+    return read_binding(str(HERE / "binding.yaml"), site)
 
 
 @pytest.fixture(scope="module")

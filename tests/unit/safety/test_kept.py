@@ -30,7 +30,6 @@ from authguard_r.enforcement.report import Report
 from authguard_r.enforcement.signed_orders import Command, Verb
 from authguard_r.normalize import Step
 from authguard_r.operations.simulation import Simulation, simulate
-from authguard_r.provenance.context import ContextLedger
 from authguard_r.safety import EnvelopeGate, Rule, SafetyConfig, Together, default_config
 from authguard_r.safety.stored_memory import LOST, MissionMemory, memory_of, remember, settle_memory
 from fixtures import scenarios
@@ -294,7 +293,7 @@ def test_while_one_action_runs_another_is_held_against_both_ends_of_it() -> None
             Step(action=action, attested=()),
             planner="planner",
             evidence=b64(bytes(32)),
-            context=ContextLedger(sim.binder.spellings()),
+            context=sim.binder.context(),
         )
 
     running = submit(SCAN)

@@ -25,7 +25,6 @@ from authguard_r.core.safety import Hazard, SafetyDecision, SafetyFinding
 from authguard_r.core.standing import Outcome
 from authguard_r.enforcement.report import Report
 from authguard_r.normalize import Step
-from authguard_r.provenance.context import ContextLedger
 from authguard_r.safety import default_config
 from authguard_r.server.explanation import repaired_by
 from authguard_r.server.process import Rendezvous
@@ -67,7 +66,7 @@ def ready(signed: Mission | None = None, *, human_distance_mm: int = 5_000) -> A
 
 
 def propose(sim: Any, action: Action = GO, *, repair: bool = True) -> Report:
-    context = ContextLedger(sim.binder.spellings())
+    context = sim.binder.context()
     context.add("camera", "go by the Plant Room to the Pharmacy")
     step = Step(action=msgspec.structs.replace(action, source=None), attested=("source",))
     report: Report = sim.gate.enforcer.propose(

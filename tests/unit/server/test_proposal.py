@@ -13,7 +13,7 @@ from authguard_r.core.encoding import Tag, digest
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.mission import OnRefusal
 from authguard_r.enforcement.leases import Running
-from authguard_r.normalize import Binder, Plan, normalize
+from authguard_r.normalize import Binder, Plan, read_plan
 from authguard_r.server.proposal import (
     AwaitNotes,
     AwaitState,
@@ -57,7 +57,7 @@ class Way:
         )
 
     def plan(self) -> Plan:
-        return normalize(self.data, binder=Binder(self.house.site, self.house.binding))
+        return read_plan(self.data, binder=Binder(self.house.site, self.house.binding))
 
     def decide(self, effects: Effects) -> Any:
         """Decide the one step that the effects ask for, as `Plans` does."""

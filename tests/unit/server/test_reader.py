@@ -20,8 +20,8 @@ import pytest
 
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault, MalformedError
 from authguard_r.core.reasons import Reason
-from authguard_r.normalize import Binder, Dialect, Plan, normalize
-from authguard_r.server.plan_reader import PlanReader, _serve, read_plan
+from authguard_r.normalize import Binder, Dialect, Plan, read_plan
+from authguard_r.server.plan_reader import PlanReader, _serve, parsed
 from authguard_r.wire.gate_limits import LIMITS
 from fixtures import scenarios
 from unit.server.demo_site import PATIENCE_S, SCAN
@@ -37,7 +37,7 @@ def binder() -> Binder:
 
 def inline(data: bytes, dialect: Dialect = Dialect.AUTO) -> Read:
     try:
-        return normalize(data, binder=binder(), dialect=dialect)
+        return read_plan(data, binder=binder(), dialect=dialect)
     except AuthGuardError as error:
         return error
 
@@ -350,5 +350,5 @@ def test_memory_that_is_used_up_is_a_refusal() -> None:
         def __getattribute__(self, name: str) -> Any:
             raise MemoryError
 
-    said = read_plan(b"auto\n" + SCAN, Exhausted.__new__(Exhausted))
+    said = parsed(b"auto\n" + SCAN, Exhausted.__new__(Exhausted))
     assert (said.plan, said.reason) == (None, Reason.INPUT_TOO_LARGE)

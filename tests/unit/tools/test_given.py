@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from authguard_r.access.files import given_binding, trusted_site
+from authguard_r.access.files import read_binding, trusted_site
 from authguard_r.authoring.keys.setup import demo_members, init_folder
 from authguard_r.core.errors import AuthenticityError, MalformedError
 from authguard_r.core.quantities import Now
@@ -50,8 +50,8 @@ def test_a_signed_site_counts_and_a_forged_one_does_not(tmp_path: Path) -> None:
 
 def test_a_binding_of_another_site_is_none() -> None:
     assert (
-        given_binding(str(scenarios.HOSPITAL / "binding.yaml"), scenarios.site())
+        read_binding(str(scenarios.HOSPITAL / "binding.yaml"), scenarios.site())
         == scenarios.binding()
     )
     with pytest.raises(MalformedError):
-        given_binding("nav2", scenarios.site())
+        read_binding("nav2", scenarios.site())

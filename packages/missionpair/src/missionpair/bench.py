@@ -29,7 +29,7 @@ from authguard_r.core.token import sign_object
 from authguard_r.enforcement.report import Report
 from authguard_r.enforcement.signed_orders import Command, Verb
 from authguard_r.keys.signer import folder_signer
-from authguard_r.normalize import normalize
+from authguard_r.normalize import read_plan
 from authguard_r.normalize.bind import site_spellings
 from authguard_r.normalize.binding import Binding, load_binding
 from authguard_r.operations.simulation import Simulation, simulate
@@ -182,7 +182,7 @@ def calls(*steps: tuple[str, dict[str, Any]]) -> bytes:
 
 def propose(scene: BenchScene) -> list[Report]:
     """Send the scene's plan down the whole road, step by step until one is refused."""
-    plan = normalize(scene.plan, binder=scene.sim.binder)
+    plan = read_plan(scene.plan, binder=scene.sim.binder)
     reports: list[Report] = []
     for step in plan.steps:
         reports.append(

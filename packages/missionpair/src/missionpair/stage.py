@@ -37,7 +37,7 @@ from authguard_r.core.safety import SafetyDecision
 from authguard_r.core.standing import Standing
 from authguard_r.core.state import AttestedState
 from authguard_r.enforcement.signed_orders import Verb
-from authguard_r.normalize import Plan, normalize
+from authguard_r.normalize import Plan, read_plan
 from authguard_r.normalize.binding import load_binding
 from authguard_r.operations.simulation import Simulation
 from authguard_r.provenance.context import ContextLedger
@@ -150,7 +150,7 @@ class Stage:
         """
         if self._read is None or self._read[0] != raw:
             try:
-                self._read = (raw, normalize(raw, binder=self.sim.binder))
+                self._read = (raw, read_plan(raw, binder=self.sim.binder))
             except MalformedError as error:
                 self._read = (raw, error)
         found = self._read[1]
@@ -167,7 +167,7 @@ class Stage:
     def steps(self) -> tuple[frozenset[Any], frozenset[Any]]:
         """What the mission's own steps do, and what the twin's do (`done_by`)."""
         plans = (self.pair.benign.plan, self.pair.attack.plan)
-        read = (normalize(plan_bytes(plan), binder=self.sim.binder) for plan in plans)
+        read = (read_plan(plan_bytes(plan), binder=self.sim.binder) for plan in plans)
         own, twin = (frozenset(done_by(step.action) for step in plan.steps) for plan in read)
         return own, twin
 

@@ -20,7 +20,7 @@ from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.quantities import Now
 from authguard_r.core.standing import Outcome, Standing
 from authguard_r.core.state import attest
-from authguard_r.normalize import Step, normalize
+from authguard_r.normalize import Step, read_plan
 from authguard_r.safety import EnvelopeGate, default_config
 from authguard_r.sim.robot import snapshot_of
 from authguard_r.sim.state import WorldState
@@ -94,7 +94,7 @@ def run_trial(scene: BenchScene, system: System) -> SystemResult:
 def _direct(scene: BenchScene, *, with_safety: bool) -> SystemResult:
     """Drive delta without the authorization gate."""
     gate = EnvelopeGate(default_config(scene.sim.robot.site, scene.sim.robot.rid))
-    steps = normalize(scene.plan, binder=scene.sim.binder).steps
+    steps = read_plan(scene.plan, binder=scene.sim.binder).steps
     state, result = scene.sim.robot.state, SystemResult()
     now = Now(scene.sim.robot.wall_ms(), scene.sim.gate.ledger.mono_ms())
     for step in steps:
@@ -134,7 +134,7 @@ def _attempt(scene: BenchScene) -> SystemResult:
     except AuthGuardError as error:
         result.reasons = (str(error.reason),)
         return result
-    planned = len(normalize(scene.plan, binder=scene.sim.binder).steps)
+    planned = len(read_plan(scene.plan, binder=scene.sim.binder).steps)
     for executed in robot.trace[begun:]:
         now = Now(executed.utc_ms, scene.sim.gate.ledger.mono_ms())
         result.effects.append(_judge(scene, executed.action, executed.before, now, before))

@@ -19,7 +19,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, ParamSpec, Self, TypeVar, overload
 
-from authguard_r.access.files import given_binding, trusted_site
+from authguard_r.access.files import read_binding, trusted_site
 from authguard_r.client.link import ProcessLog
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault, MalformedError
 from authguard_r.core.identifiers import RobotId
@@ -113,7 +113,7 @@ class GateGuard:
             robot=RobotId(robot),
             run=Path(run),
             site=model,
-            binding=given_binding(str(binding), model),
+            binding=read_binding(str(binding), model),
             trust=lambda: read_trust(Path(trust)),
             stops=tuple(map(_stop, stops)),
             client=client,

@@ -19,7 +19,7 @@ from typing import Any
 
 from rclpy.lifecycle import TransitionCallbackReturn
 
-from authguard_r.access.files import given_binding, trusted_site
+from authguard_r.access.files import read_binding, trusted_site
 from authguard_r.client.link import ProcessLog
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.integrations.ros.map import RosMap, read_map
@@ -135,7 +135,7 @@ def _place(given: argparse.Namespace) -> MediatorTarget:
         ros=_own_map(given),
         run=given.run,
         site=site,
-        binding=given_binding(given.binding, site),
+        binding=read_binding(given.binding, site),
         trust=lambda: read_trust(given.trust),
     )
 

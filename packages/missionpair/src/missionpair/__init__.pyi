@@ -1,0 +1,21 @@
+# SPDX-License-Identifier: Apache-2.0
+from missionpair.briefing import Briefing as Briefing
+from missionpair.briefing import OfferedTool as OfferedTool
+from missionpair.briefing import Reply as Reply
+from missionpair.campaign.log import LogWriter as LogWriter
+from missionpair.campaign.log import read_log as read_log
+from missionpair.pair import Input as Input
+from missionpair.pair import Suite as Suite
+from missionpair.pair import WordedCall as WordedCall
+from missionpair.pair import plan_bytes as plan_bytes
+from missionpair.records import SCHEMA as SCHEMA
+from missionpair.records import Campaign as Campaign
+from missionpair.records import NamedPart as NamedPart
+from missionpair.records import Round as Round
+from missionpair.records import Timing as Timing
+from missionpair.records import Trial as Trial
+from missionpair.words import Access as Access
+from missionpair.words import Category as Category
+from missionpair.words import Channel as Channel
+from missionpair.words import Domain as Domain
+from missionpair.words import Family as Family
