@@ -18,6 +18,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -161,25 +162,31 @@ def serve(address: str) -> None:
         data, files, _, _ = socket.recv_fds(link, 1 << 16, 3)
         if os.fork() == 0:
             signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-            threading.Thread(target=end_with, args=(link,), daemon=True).start()
             folder, said, *words = data.decode().split("\0")
             os.environ.update(item.split("=", 1) for item in said.split("\1") if item)
             os.chdir(folder)
             for number, file in enumerate(files):
                 os.dup2(file, number)
-            code = authguard(words)
-            sys.stdout.flush()
-            sys.stderr.flush()
-            link.send(str(code).encode())
+            command = os.fork()  # which may become another program, as `authguard gate` does
+            if command == 0:
+                link.close()
+                code = authguard(words)
+                sys.stdout.flush()
+                sys.stderr.flush()
+                os._exit(code)
+            threading.Thread(target=end_with, args=(link, command), daemon=True).start()
+            _, status = os.waitpid(command, 0)
+            link.send(str(os.waitstatus_to_exitcode(status) % 256).encode())
             os._exit(0)
         for file in (*files, link.detach()):
             os.close(file)
 
 
-def end_with(link: socket.socket) -> None:
-    """End this process, as a caller that was ended is: its end of the link is closed then."""
+def end_with(link: socket.socket, command: int) -> None:
+    """End a command when its caller was ended: its end of the link is closed then."""
     link.recv(1)
-    os.kill(os.getpid(), signal.SIGTERM)
+    with suppress(ProcessLookupError):  # it has ended
+        os.kill(command, signal.SIGTERM)
 
 
 def missing(printed: tuple[str, ...], output: list[str]) -> str | None:
