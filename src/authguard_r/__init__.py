@@ -12,13 +12,11 @@ the stop process does, loads no other part. `__init__.pyi` gives the names their
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from importlib import import_module
 
 
-def lazy(
-    package: str, homes: Mapping[str, str], root: str = "authguard_r"
-) -> Callable[[str], object]:
+def lazy(package: str, homes: dict[str, str], root: str = "authguard_r") -> Callable[[str], object]:
     """Return a package's `__getattr__`: each name is imported from its module when it is used."""
 
     def load(name: str) -> object:

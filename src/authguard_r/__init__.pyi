@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 from authguard_r.access.files import read_binding as read_binding
 from authguard_r.client.asynchronous import AsyncGateClient as AsyncGateClient
@@ -22,4 +22,4 @@ from authguard_r.server.wiring import assemble as assemble
 from authguard_r.site.source import read_site as read_site
 from authguard_r.wire.messages import ClientRole as ClientRole
 
-def lazy(package: str, homes: Mapping[str, str], root: str = ...) -> Callable[[str], object]: ...
+def lazy(package: str, homes: dict[str, str], root: str = ...) -> Callable[[str], object]: ...

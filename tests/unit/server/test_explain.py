@@ -16,13 +16,14 @@ from authguard_r.core.mission import Mission
 from authguard_r.core.reasons import Reason
 from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.server.explanation import explanation
-from authguard_r.server.remediation import _ANSWERS, EMERGENCY_MENDS, MENDS, mends_of
+from authguard_r.server.remediation import mends_of, remedies, remedy_of
 from authguard_r.wire.messages import ClientRole, Explain, Kind, Observe, Order, OrderKind
 from fixtures import scenarios
 from unit.server.demo_site import FORBIDDEN, GO, SCAN, UNREADABLE, Guest, House, Refused
 from unit.server.test_rescues import Ward
 
 #: Too fast: one bound, which a signature can raise.
+MENDS, EMERGENCY_MENDS = remedy_of(), remedy_of(emergency=True)
 FAST = b'navigate_to(destination="Pharmacy", speed=1.2)'
 
 
@@ -114,7 +115,9 @@ def test_the_safety_gates_word_is_told_beside_the_other() -> None:
 
 def test_every_reason_says_what_to_do_with_commands_that_there_are() -> None:
     assert MENDS.keys() == set(Reason)
-    assert sum(len(reasons) for _, reasons in _ANSWERS) == len(MENDS)  # none stands twice
+    assert sum(len(remedy.reasons) for remedy in remedies().answers) == len(
+        MENDS
+    )  # none stands twice
     tree = program()
     for mend in {*MENDS.values(), *EMERGENCY_MENDS.values()}:
         for words in re.findall(r"authguard ([a-z]+(?: [a-z]+)?)", mend):

@@ -20,7 +20,7 @@ from authguard_r.operations.checkup.advice import AdviceCode, Level
 from authguard_r.operations.checkup.logbook import counter_advice, store_advice, witness_advice
 from authguard_r.operations.simulation import simulate
 from authguard_r.server.recovery import Recovery
-from authguard_r.server.remediation import MENDS
+from authguard_r.server.remediation import remedy_of
 from authguard_r.store.sqlite import open_store
 from authguard_r.wire.messages import OrderKind
 from fixtures import scenarios
@@ -38,7 +38,7 @@ def test_the_answer_to_an_order_is_taken_under_its_own_name() -> None:
 
 
 def test_whoever_reads_the_refusal_is_told_what_to_do() -> None:
-    assert "authguard recover" in MENDS[Reason.ROLLED_BACK]
+    assert "authguard recover" in remedy_of()[Reason.ROLLED_BACK]
 
 
 def test_the_doctor_names_a_counter_that_is_missing_or_worth_little(tmp_path: Path) -> None:

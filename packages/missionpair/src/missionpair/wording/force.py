@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from missionpair.wording import productions as said
 from missionpair.wording.grammar import drawn_number
+from missionpair.wording.productions import PRODUCTIONS
 
 #: What each step adds, in this order. No sentence of it asks for anything.
 STEPS: tuple[tuple[Mapping[str, str], ...], ...] = (
-    (said.AUTHORITY, said.URGENCY),
-    (said.FORMER, said.INSISTENCE),
+    (PRODUCTIONS.authority, PRODUCTIONS.urgency),
+    (PRODUCTIONS.former, PRODUCTIONS.insistence),
 )
 
 

@@ -15,8 +15,8 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from missionpair.pair import Input, WordedCall
-from missionpair.wording import productions as said
 from missionpair.wording.asks import put
+from missionpair.wording.productions import PRODUCTIONS
 from missionpair.words import Channel, Family
 
 #: How many ways to choose verbs are told apart; each ask takes the next verb of its frame.
@@ -40,19 +40,19 @@ class Derivation(Struct, frozen=True, kw_only=True):
 def slots(family: Family, channel: Channel) -> dict[str, tuple[str, ...]]:
     """Return every slot of a text with the names of its productions."""
     return {
-        "claim": tuple(said.CLAIMS[family]),
-        "authority": tuple(said.AUTHORITY),
-        "reason": tuple(said.REASON),
-        "urgency": tuple(said.URGENCY),
-        "former": tuple(said.FORMER),
-        "manner": tuple(said.MANNER),
-        "joining": tuple(said.JOINING),
+        "claim": tuple(PRODUCTIONS.claims[family]),
+        "authority": tuple(PRODUCTIONS.authority),
+        "reason": tuple(PRODUCTIONS.reason),
+        "urgency": tuple(PRODUCTIONS.urgency),
+        "former": tuple(PRODUCTIONS.former),
+        "manner": tuple(PRODUCTIONS.manner),
+        "joining": tuple(PRODUCTIONS.joining),
         "verbs": _VERBS,
-        "closing": tuple(said.CLOSING),
-        "arrangement": tuple(said.ARRANGEMENT),
-        "setting": tuple(said.SETTINGS[channel]),
-        "scene": tuple(said.SCENES[family]),
-        "confirmation": tuple(said.CONFIRMATIONS),
+        "closing": tuple(PRODUCTIONS.closing),
+        "arrangement": tuple(PRODUCTIONS.arrangement),
+        "setting": tuple(PRODUCTIONS.settings[channel]),
+        "scene": tuple(PRODUCTIONS.scenes[family]),
+        "confirmation": tuple(PRODUCTIONS.confirmations),
     }
 
 
@@ -105,16 +105,16 @@ def write(derivation: Derivation, asks: tuple[WordedCall, ...], *, authorized: s
         raise ValueError("a text that asks for nothing is no attack")
     chosen = derivation.choices
     sentences = {
-        "claim": said.CLAIMS[derivation.family][chosen["claim"]],
-        "authority": said.AUTHORITY[chosen["authority"]],
-        "reason": said.REASON[chosen["reason"]],
-        "urgency": said.URGENCY[chosen["urgency"]],
-        "former": said.FORMER[chosen["former"]],
-        "closing": said.CLOSING[chosen["closing"]],
+        "claim": PRODUCTIONS.claims[derivation.family][chosen["claim"]],
+        "authority": PRODUCTIONS.authority[chosen["authority"]],
+        "reason": PRODUCTIONS.reason[chosen["reason"]],
+        "urgency": PRODUCTIONS.urgency[chosen["urgency"]],
+        "former": PRODUCTIONS.former[chosen["former"]],
+        "closing": PRODUCTIONS.closing[chosen["closing"]],
     }
     filled = {slot: _about(text, authorized) for slot, text in sentences.items()}
     filled["ask"] = ask_text(asks, derivation)
-    order = said.ARRANGEMENT[chosen["arrangement"]]
+    order = PRODUCTIONS.arrangement[chosen["arrangement"]]
     body = " ".join(filter(None, (filled[slot] for slot in order)))
     return _set(derivation, body, authorized)
 
@@ -169,9 +169,9 @@ def confirm(derivation: Derivation, *, authorized: str) -> str:
     """Return a text that makes the claim, says that it was checked, and asks for nothing."""
     family, chosen = derivation.family, derivation.choices
     parts = (
-        _about(said.CONFIRMATIONS[chosen["confirmation"]], authorized),
-        _about(said.CLAIMS[family][chosen["claim"]], authorized),
-        said.AUTHORITY[chosen["authority"]],
+        _about(PRODUCTIONS.confirmations[chosen["confirmation"]], authorized),
+        _about(PRODUCTIONS.claims[family][chosen["claim"]], authorized),
+        PRODUCTIONS.authority[chosen["authority"]],
     )
     return _set(derivation, " ".join(filter(None, parts)), authorized)
 
@@ -179,8 +179,8 @@ def confirm(derivation: Derivation, *, authorized: str) -> str:
 def ask_text(asks: Sequence[WordedCall], derivation: Derivation) -> str:
     """Return the sentences that ask for the calls, in order."""
     chosen = derivation.choices
-    manner = said.MANNER[chosen["manner"]]
-    first, later, last = said.JOINING[chosen["joining"]]
+    manner = PRODUCTIONS.manner[chosen["manner"]]
+    first, later, last = PRODUCTIONS.joining[chosen["joining"]]
     turn = int(chosen["verbs"])
     text = ""
     for number, call in enumerate(asks):
@@ -197,8 +197,8 @@ def ask_text(asks: Sequence[WordedCall], derivation: Derivation) -> str:
 def _set(derivation: Derivation, body: str, authorized: str) -> str:
     """Return what is said as it stands on its channel."""
     chosen = derivation.choices
-    scene = _about(said.SCENES[derivation.family][chosen["scene"]], authorized)
-    setting = said.SETTINGS[derivation.channel][chosen["setting"]]
+    scene = _about(PRODUCTIONS.scenes[derivation.family][chosen["scene"]], authorized)
+    setting = PRODUCTIONS.settings[derivation.channel][chosen["setting"]]
     return setting.replace("{scene}", scene).replace("{body}", body)
 
 
@@ -208,7 +208,7 @@ def drawn_number(key: str, below: int) -> int:
 
 
 def _about(text: str, authorized: str) -> str:
-    filled = text.replace("{it}", authorized or said.NOTHING)
+    filled = text.replace("{it}", authorized or PRODUCTIONS.nothing)
     return _capital(filled)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from missionpair.wording import productions as said
+from missionpair.wording.productions import PRODUCTIONS
 from missionpair.words import Family
 
 
@@ -35,8 +35,8 @@ def subject_of(texts: Sequence[str], family: Family, names: Iterable[str]) -> st
 def _sentences(family: Family) -> tuple[str, ...]:
     """Return every sentence that may name what the mission has."""
     return (
-        *said.CLAIMS[family].values(),
-        *said.FORMER.values(),
-        *said.SCENES[family].values(),
-        *said.CONFIRMATIONS.values(),
+        *PRODUCTIONS.claims[family].values(),
+        *PRODUCTIONS.former.values(),
+        *PRODUCTIONS.scenes[family].values(),
+        *PRODUCTIONS.confirmations.values(),
     )

@@ -9,7 +9,9 @@ Spec page: docs/spec/missionpair-access.md#wording
 from __future__ import annotations
 
 from enum import StrEnum
+from importlib.resources import files
 
+import msgspec
 from msgspec import Struct
 
 
@@ -23,7 +25,7 @@ class Says(StrEnum):
     QUOTE = "quote"
 
 
-class FrameSlot(Struct, frozen=True, kw_only=True):
+class FrameSlot(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One argument of a frame.
 
     Args:
@@ -48,7 +50,7 @@ class FrameSlot(Struct, frozen=True, kw_only=True):
     optional: bool = False
 
 
-class CallFrame(Struct, frozen=True, kw_only=True):
+class CallFrame(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """How one kind of call is said.
 
     Args:
@@ -64,205 +66,14 @@ class CallFrame(Struct, frozen=True, kw_only=True):
     slots: tuple[FrameSlot, ...] = ()
 
 
-_METERS = {"m/s": 1, "mps": 1, "meters per second": 1, "metres per second": 1}
-_NEWTONS = {"N": 1, "newtons": 1, "newton": 1}
-_SECONDS = {
-    "seconds": 1,
-    "second": 1,
-    "sec": 1,
-    "s": 1,
-    "minutes": 60,
-    "minute": 60,
-    "min": 60,
-    "hours": 3600,
-    "hour": 3600,
-}
-_PLACE = ("destination", "place", "location", "room", "zone", "region", "area", "to")
-_THING = ("object", "item", "thing", "sample", "asset")
+class CallFrames(Struct, frozen=True, forbid_unknown_fields=True):
+    """Every frame, as `frames.toml` holds them."""
 
-_FORCE = FrameSlot(
-    names=("force",),
-    says=Says.NUMBER,
-    marks=("with", "with a force of", "using", "at"),
-    written=3,
-    unit="N",
-    units=_NEWTONS,
-    optional=True,
-)
+    frames: tuple[CallFrame, ...]
 
-_MEGABYTES = FrameSlot(
-    names=("megabytes",),
-    says=Says.NUMBER,
-    marks=("with", "using", "of", "in"),
-    written=2,
-    unit="megabytes",
-    units={"megabytes": 1, "megabyte": 1, "MB": 1},
-    optional=True,
-)
 
-FRAMES: tuple[CallFrame, ...] = (
-    CallFrame(
-        tools=(
-            "navigate_to",
-            "drive_to",
-            "go_to",
-            "walk_to",
-            "goto_room",
-            "move_to_zone",
-            "move_to",
-            "navigate",
-        ),
-        verbs=(
-            "go to",
-            "drive to",
-            "head to",
-            "proceed to",
-            "move to",
-            "navigate to",
-            "continue to",
-            "make your way to",
-            "travel to",
-            "report to",
-        ),
-        also=(
-            "go",
-            "go into",
-            "drive",
-            "drive into",
-            "move",
-            "navigate",
-            "return to",
-            "return",
-            "come to",
-            "deliver to",
-            "go back to",
-            "enter",
-            "head for",
-            "turn to",
-            "divert to",
-            "go straight to",
-        ),
-        slots=(
-            FrameSlot(names=_PLACE, says=Says.PLACE),
-            FrameSlot(
-                names=("via", "route", "through", "past", "via_rooms", "waypoints"),
-                says=Says.PLACES,
-                marks=("via", "through", "by way of", "over", "using", "past", "along"),
-                written=4,
-                optional=True,
-            ),
-            FrameSlot(
-                names=("speed",),
-                says=Says.NUMBER,
-                marks=("at", "at a speed of", "with a speed of", "with", "doing"),
-                written=3,
-                unit="m/s",
-                units=_METERS,
-                optional=True,
-            ),
-        ),
-    ),
-    CallFrame(
-        tools=("pick_up", "pick", "grab", "fetch", "grip", "grasp"),
-        verbs=("pick up", "take", "grab", "collect", "fetch", "lift", "get"),
-        also=("pick", "use", "bring", "carry", "deliver", "grasp", "take along"),
-        slots=(FrameSlot(names=_THING, says=Says.THING), _FORCE),
-    ),
-    CallFrame(
-        tools=("put_down", "put", "set_down", "hand_over", "release", "place", "drop"),
-        verbs=("put down", "place", "set down", "drop off", "leave", "unload", "put"),
-        also=("drop", "hand over", "lay", "store"),
-        slots=(
-            FrameSlot(names=_THING, says=Says.THING),
-            FrameSlot(
-                names=("at", *_PLACE, "on", "in"),
-                says=Says.PLACE,
-                marks=("at", "in", "on", "into", "to", "onto"),
-                written=3,
-                optional=True,
-            ),
-            _FORCE,
-        ),
-    ),
-    CallFrame(
-        tools=("wait", "wait_for", "pause", "stand", "dwell", "hold"),
-        verbs=("wait for", "wait", "pause for", "hold still for", "stand still for", "hold for"),
-        also=("stop for", "stop", "hold", "pause", "halt", "stay here", "stay", "stand by"),
-        slots=(
-            FrameSlot(
-                names=("seconds", "duration", "time"),
-                says=Says.NUMBER,
-                marks=("", "here for", "for", "another", "at least", "here"),
-                unit="seconds",
-                units=_SECONDS,
-                default=600,
-            ),
-        ),
-    ),
-    CallFrame(
-        tools=(
-            "take_photo",
-            "take_picture",
-            "take_still",
-            "photograph",
-            "snapshot",
-            "capture_image",
-        ),
-        verbs=("take a photo", "take a picture", "take a photograph", "snap a photo"),
-        also=("take photos", "take pictures", "photograph", "capture an image", "take one photo"),
-    ),
-    CallFrame(
-        tools=("record_video", "film", "record", "record_clip", "capture_video"),
-        verbs=("record a video for", "record video for", "film for", "make a recording of"),
-        also=("record a video", "record video", "start recording", "film", "take a video"),
-        slots=(
-            FrameSlot(
-                names=("seconds", "duration", "time"),
-                says=Says.NUMBER,
-                marks=("", "for", "of", "lasting"),
-                unit="seconds",
-                units=_SECONDS,
-                default=30,
-            ),
-            _MEGABYTES,
-        ),
-    ),
-    CallFrame(
-        tools=("survey_zone", "survey"),
-        verbs=("survey", "make a survey of", "map out"),
-        slots=(FrameSlot(names=_PLACE, says=Says.PLACE), _MEGABYTES),
-    ),
-    CallFrame(
-        tools=("inspect_asset", "inspect"),
-        verbs=("inspect", "examine", "have a close look at"),
-        slots=(FrameSlot(names=_THING, says=Says.THING), _MEGABYTES),
-    ),
-    *(
-        CallFrame(tools=(tool,), verbs=verbs, slots=(FrameSlot(names=_THING, says=Says.THING),))
-        for tool, verbs in (
-            ("turn_on", ("turn on", "switch on")),
-            ("turn_off", ("turn off", "switch off")),
-            ("open", ("open", "open up")),
-            ("close", ("close", "shut")),
-            ("wipe", ("wipe", "wipe off")),
-        )
-    ),
-    CallFrame(
-        tools=("scan", "look", "look_around", "scan_path", "check_clear", "check_clearance"),
-        verbs=("scan for obstacles", "look around for obstacles", "check the way for obstacles"),
-        also=("look around", "scan the area"),
-    ),
-    CallFrame(
-        tools=("relocalize", "set_pose"),
-        verbs=("set your position to", "relocalize at", "set your location to"),
-        slots=(FrameSlot(names=_PLACE, says=Says.PLACE),),
-    ),
-    CallFrame(
-        tools=("say", "announce", "speak"),
-        verbs=("say", "announce", "say aloud"),
-        slots=(FrameSlot(names=("text", "message", "words"), says=Says.QUOTE),),
-    ),
-)
-
+FRAMES = msgspec.toml.decode(
+    files("missionpair.wording").joinpath("frames.toml").read_bytes(), type=CallFrames
+).frames
 #: The frame of each tool that has one.
 FRAME_OF: dict[str, CallFrame] = {tool: frame for frame in FRAMES for tool in frame.tools}
