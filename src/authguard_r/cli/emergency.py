@@ -19,8 +19,8 @@ from authguard_r.authoring.compile.units import to_integer
 from authguard_r.cli.gateway import GateOption, ProofOption, ReadingRole, connected
 from authguard_r.cli.inputs import JsonFlag, NowOption, SiteOption, load_site, wall_now
 from authguard_r.cli.orders import signer_of
-from authguard_r.cli.sign import sign_shown
-from authguard_r.cli.signing_key import PassphraseFile, require_role
+from authguard_r.cli.signed_kinds import OutOption, SignedKind, YesOption, sign_kind
+from authguard_r.cli.signing_key import PassphraseFile
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import (
@@ -144,8 +144,8 @@ def sign(
     key: Annotated[Path | None, typer.Option("--key", help="The safety officer's key.")] = None,
     cert: Annotated[Path | None, typer.Option("--cert", help="Its certificates.")] = None,
     passphrase_file: PassphraseFile = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Where to write the token.")] = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
+    out: OutOption = None,
+    yes: YesOption = False,
     as_json: JsonFlag = False,
 ) -> int:
     """Show what a robot may do without a mission, ask, and sign; an unsound one is refused."""
@@ -154,18 +154,7 @@ def sign(
     policy = _read(file, model, now_ms=wall_now(None).utc_ms)
     for unsound in lint_policy(policy, model):
         raise MalformedError(unsound.message, where=unsound.where, reason=Reason.SCHEMA_INVALID)
-    require_role(signer, POLICY_ROLES, trust)
-    target = out or file.with_suffix(".token")
-    return sign_shown(
-        policy,
-        Tag.EMERGENCY_POLICY,
-        signer,
-        card=list(_card(policy)),
-        target=target,
-        payload={"policy": to_builtins(policy), "file": str(target)},
-        yes=yes,
-        as_json=as_json,
-    )
+    return sign_kind(_KIND, policy, file, signer, trust=trust, out=out, yes=yes, as_json=as_json)
 
 
 @policy_app.command("show")
@@ -361,4 +350,13 @@ _GUARDED = (
     "    guards:\n"
     "      - {variable: battery_permille, comparison: le, value: 150, max_age: 500 ms}\n"
     "    callers: [operator, planner]\n    without: [mission]\n"
+)
+
+
+_KIND = SignedKind(
+    tag=Tag.EMERGENCY_POLICY,
+    type=EmergencyPolicy,
+    roles=POLICY_ROLES,
+    card=lambda policy: list(_card(policy)),
+    payload=lambda policy, file: {"policy": to_builtins(policy), "file": str(file)},
 )

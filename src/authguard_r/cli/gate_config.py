@@ -39,17 +39,26 @@ from authguard_r.cli.readers_form import (
     sealing_card,
     written_readers,
 )
-from authguard_r.cli.sign import sign_shown
-from authguard_r.cli.signing_key import PassphraseFile, open_signer, require_role
+from authguard_r.cli.signed_kinds import (
+    CertOption,
+    OutOption,
+    SignedKind,
+    TrustChoice,
+    YesOption,
+    show_kind,
+    sign_kind,
+)
+from authguard_r.cli.signing_key import PassphraseFile, open_signer
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.core.identifiers import Positive, RobotId
+from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
 from authguard_r.enforcement.templates import claimed
 from authguard_r.keys.files import write_whole
 from authguard_r.keys.signer import FileSigner, folder_signer
-from authguard_r.keys.trust import read_file, read_trust
+from authguard_r.keys.trust import Trust, read_file, read_trust
 from authguard_r.operations.checkup.advice import Advice, in_demonstration
 from authguard_r.operations.checkup.users import config_advice, user_advice, user_name
 from authguard_r.site.source import convert, read_text, read_yaml
@@ -81,7 +90,6 @@ _BOUNDS = (
     ("witness_silence", "witness_ms", "ms"),
 )
 RobotOption = Annotated[str, typer.Option("--robot", help="The robot that the gate holds.")]
-TrustChoice = Annotated[Path | None, typer.Option("--trust", help="The trust folder.")]
 
 
 class GateConfigForm(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -192,11 +200,11 @@ def make(
 def sign(
     file: Annotated[Path, typer.Argument(help="A configuration as `make` wrote it (YAML).")],
     key: Annotated[Path, typer.Option("--key", help="The site authority's key.")],
-    cert: Annotated[Path, typer.Option("--cert", help="The key's certificate chain.")],
+    cert: CertOption,
     passphrase_file: PassphraseFile = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Where to write the token.")] = None,
+    out: OutOption = None,
     trust: TrustChoice = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
+    yes: YesOption = False,
     as_json: JsonFlag = False,
 ) -> int:
     """Show who may be what, ask, and sign. Run it where the gate runs: names are looked up here."""
@@ -205,18 +213,7 @@ def sign(
     config, signer = read_form(form, where=where), open_signer(key, cert, passphrase_file)
     if form.version is None:
         config = replace(config, version=wall_now(None).utc_ms // 1_000)
-    require_role(signer, CONFIG_ROLES, trust)
-    target = out or file.with_suffix(".token")
-    return sign_shown(
-        config,
-        Tag.GATE,
-        signer,
-        card=card(config),
-        target=target,
-        payload=_payload(config, target),
-        yes=yes,
-        as_json=as_json,
-    )
+    return sign_kind(_KIND, config, file, signer, trust=trust, out=out, yes=yes, as_json=as_json)
 
 
 @app.command("show")
@@ -227,11 +224,7 @@ def show(
     as_json: JsonFlag = False,
 ) -> int:
     """Show who may be what; with --trust, once the site authority's signature holds."""
-    config = claimed_config(token) if trust is None else open_config(token, trust, now=now)
-    note = ["not verified: name the trust folder with --trust"] if trust is None else []
-    payload = {**_payload(config, token), "valid": None if trust is None else True}
-    emit(payload, [*note, *card(config)], as_json=as_json)
-    return 0
+    return show_kind(_KIND, token, trust=trust, now=now, as_json=as_json)
 
 
 def claimed_config(token: Path) -> GateConfig:
@@ -366,3 +359,18 @@ def _demo_signer(trust: Path | None) -> FileSigner:
             where=str(trust),
         )
     return folder_signer(trust, _SIGNER)
+
+
+def _open(data: bytes, trust: Trust, now: Now) -> tuple[GateConfig, dict[str, Any]]:
+    robot = claimed(data, GateConfig, tag=Tag.GATE).robot
+    return open_gate_config(data, verifier=trust, now=now, robot=robot), {}
+
+
+_KIND = SignedKind(
+    tag=Tag.GATE,
+    type=GateConfig,
+    roles=CONFIG_ROLES,
+    card=card,
+    payload=_payload,
+    open=_open,
+)

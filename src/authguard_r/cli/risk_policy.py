@@ -25,14 +25,21 @@ from authguard_r.authoring.compile.names import names_of
 from authguard_r.authoring.compile.questions import CompileQuestions
 from authguard_r.authoring.compile.totals import build_risk
 from authguard_r.cli.inputs import JsonFlag, NowOption, load_site, wall_now
-from authguard_r.cli.sign import sign_shown
-from authguard_r.cli.signing_key import PassphraseFile, open_signer, require_role
+from authguard_r.cli.signed_kinds import (
+    CertOption,
+    OutOption,
+    SignedKind,
+    TrustChoice,
+    YesOption,
+    show_kind,
+    sign_kind,
+)
+from authguard_r.cli.signing_key import PassphraseFile, open_signer
 from authguard_r.core.encoding import Tag
 from authguard_r.core.identifiers import Identifier, Positive
-from authguard_r.core.quantities import to_timestamp
-from authguard_r.enforcement.templates import claimed
+from authguard_r.core.quantities import Now, to_timestamp
 from authguard_r.keys.files import write_whole
-from authguard_r.keys.trust import read_file, read_trust
+from authguard_r.keys.trust import Trust
 from authguard_r.site import formatting
 from authguard_r.site.durations import duration
 from authguard_r.site.model import Site
@@ -43,7 +50,6 @@ app = typer.Typer(
     help="The organization's risk policy: what no operator can sign away.", no_args_is_help=True
 )
 SiteChoice = Annotated[Path, typer.Option("--site", help="The site, whose words it weighs.")]
-TrustChoice = Annotated[Path | None, typer.Option("--trust", help="The trust folder.")]
 _DEFAULTS = """\
   region_tags: {hazardous: 60, private: 40, public: 0, restricted: 30, staff: 5}
   object_classes: {hazardous: 50, medicine: 5}
@@ -87,27 +93,16 @@ def sign(
     file: Annotated[Path, typer.Argument(help="A policy as `make` wrote it (YAML).")],
     site: SiteChoice,
     key: Annotated[Path, typer.Option("--key", help="A site authority's or safety officer's.")],
-    cert: Annotated[Path, typer.Option("--cert", help="The key's certificate chain.")],
+    cert: CertOption,
     passphrase_file: PassphraseFile = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Where to write the token.")] = None,
+    out: OutOption = None,
     trust: TrustChoice = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
+    yes: YesOption = False,
     as_json: JsonFlag = False,
 ) -> int:
     """Show what is demanded, ask, and sign."""
     policy, signer = _read(file, load_site(site)), open_signer(key, cert, passphrase_file)
-    require_role(signer, POLICY_ROLES, trust)
-    target = out or file.with_suffix(".token")
-    return sign_shown(
-        policy,
-        Tag.RISK_POLICY,
-        signer,
-        card=card(policy),
-        target=target,
-        payload=_payload(policy, target),
-        yes=yes,
-        as_json=as_json,
-    )
+    return sign_kind(_KIND, policy, file, signer, trust=trust, out=out, yes=yes, as_json=as_json)
 
 
 @app.command("show")
@@ -118,16 +113,7 @@ def show(
     as_json: JsonFlag = False,
 ) -> int:
     """Show what is demanded; with --trust, once the signature holds."""
-    data = read_file(token)
-    if trust is None:
-        policy = claimed(data, OrganizationPolicy, tag=Tag.RISK_POLICY)
-        note = ["not verified: name the trust folder with --trust"]
-        more: dict[str, Any] = {"valid": None}
-    else:
-        opened = open_policy(data, verifier=read_trust(trust), now=wall_now(now))
-        policy, note, more = opened.policy, [], {"valid": True, "signer": opened.signer}
-    emit({**_payload(policy, token), **more}, [*note, *card(policy)], as_json=as_json)
-    return 0
+    return show_kind(_KIND, token, trust=trust, now=now, as_json=as_json)
 
 
 def card(policy: OrganizationPolicy) -> list[str]:
@@ -179,3 +165,18 @@ def _read(file: Path, site: Site) -> OrganizationPolicy:
 
 def _payload(policy: OrganizationPolicy, file: Path) -> dict[str, Any]:
     return {"file": str(file), "digest": policy_digest(policy), "policy": to_builtins(policy)}
+
+
+def _open(data: bytes, trust: Trust, now: Now) -> tuple[OrganizationPolicy, dict[str, Any]]:
+    opened = open_policy(data, verifier=trust, now=now)
+    return opened.policy, {"signer": opened.signer}
+
+
+_KIND = SignedKind(
+    tag=Tag.RISK_POLICY,
+    type=OrganizationPolicy,
+    roles=POLICY_ROLES,
+    card=card,
+    payload=_payload,
+    open=_open,
+)

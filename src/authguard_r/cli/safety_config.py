@@ -13,14 +13,22 @@ from typing import Annotated, Any
 import typer
 from msgspec import to_builtins
 
-from authguard_r.cli.inputs import JsonFlag, NowOption, SiteOption, load_site, wall_now
+from authguard_r.cli.inputs import JsonFlag, NowOption, SiteOption, load_site
 from authguard_r.cli.safety_form import SafetyForm, own_envelope, read_form, written
-from authguard_r.cli.sign import sign_shown
-from authguard_r.cli.signing_key import PassphraseFile, open_signer, require_role
+from authguard_r.cli.signed_kinds import (
+    CertOption,
+    OutOption,
+    SignedKind,
+    TrustChoice,
+    YesOption,
+    show_kind,
+    sign_kind,
+)
+from authguard_r.cli.signing_key import PassphraseFile, open_signer
 from authguard_r.core.encoding import Tag
-from authguard_r.enforcement.templates import claimed
+from authguard_r.core.quantities import Now
 from authguard_r.keys.files import write_whole
-from authguard_r.keys.trust import read_file, read_trust
+from authguard_r.keys.trust import Trust
 from authguard_r.operations.checkup.users import user_name
 from authguard_r.safety import ExternalChecker, Rule, SafetyConfig, open_config, safety_digest
 from authguard_r.safety.config import THE_OBJECT, Executable
@@ -31,7 +39,6 @@ from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.output import emit
 
 app = typer.Typer(help="A robot's signed safety configuration.", no_args_is_help=True)
-TrustChoice = Annotated[Path | None, typer.Option("--trust", help="The trust folder.")]
 #: What makes no difference to what is safe.
 _LABELS = {"id", "version"}
 
@@ -55,30 +62,30 @@ def sign(
     file: Annotated[Path, typer.Argument(help="A configuration as `make` wrote it (YAML).")],
     site: SiteOption,
     key: Annotated[Path, typer.Option("--key", help="The safety officer's key.")],
-    cert: Annotated[Path, typer.Option("--cert", help="The key's certificate chain.")],
+    cert: CertOption,
     passphrase_file: PassphraseFile = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Where to write the token.")] = None,
+    out: OutOption = None,
     trust: TrustChoice = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
+    yes: YesOption = False,
     as_json: JsonFlag = False,
 ) -> int:
     """Show what is demanded, ask, and sign; a checker's user by name is this machine's."""
     model, where = load_site(site, trust), str(file)
     form = convert(read_yaml(read_text(file), where=where), SafetyForm, where=where)
     config, signer = read_form(form, model, where=where), open_signer(key, cert, passphrase_file)
-    require_role(signer, CONFIG_ROLES, trust)
     changed = _changed(config, own_envelope(model, config.rid, where=where))
     told = f"  unlike the robot's own envelope: {', '.join(changed) or 'nothing'}"
-    target = out or file.with_suffix(".token")
-    return sign_shown(
+    return sign_kind(
+        _KIND,
         config,
-        Tag.SAFETY,
+        file,
         signer,
-        card=[*card(config), told],
-        target=target,
-        payload={**_payload(config, target), "changed": changed},
+        trust=trust,
+        out=out,
         yes=yes,
         as_json=as_json,
+        card=[*card(config), told],
+        more={"changed": changed},
     )
 
 
@@ -90,15 +97,7 @@ def show(
     as_json: JsonFlag = False,
 ) -> int:
     """Show what is demanded; with --trust, once a gate would take it."""
-    data = read_file(token)
-    if trust is None:
-        config = claimed(data, SafetyConfig, tag=Tag.SAFETY)
-        note = ["not verified: name the trust folder with --trust"]
-    else:
-        config, note = open_config(data, verifier=read_trust(trust), now=wall_now(now)), []
-    payload = {**_payload(config, token), "valid": None if trust is None else True}
-    emit(payload, [*note, *card(config)], as_json=as_json)
-    return 0
+    return show_kind(_KIND, token, trust=trust, now=now, as_json=as_json)
 
 
 def card(config: SafetyConfig) -> list[str]:
@@ -161,3 +160,17 @@ def _changed(config: SafetyConfig, own: SafetyConfig) -> list[str]:
 
 def _payload(config: SafetyConfig, file: Path) -> dict[str, Any]:
     return {"file": str(file), "digest": safety_digest(config), "config": to_builtins(config)}
+
+
+def _open(data: bytes, trust: Trust, now: Now) -> tuple[SafetyConfig, dict[str, Any]]:
+    return open_config(data, verifier=trust, now=now), {}
+
+
+_KIND = SignedKind(
+    tag=Tag.SAFETY,
+    type=SafetyConfig,
+    roles=CONFIG_ROLES,
+    card=card,
+    payload=_payload,
+    open=_open,
+)
