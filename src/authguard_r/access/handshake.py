@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The answer to a hello, of a gate and of its stop lane alike, with the proof if one is asked for.
+"""The answer of a gate or of its stop process to a hello, with the proof that it asks for.
 
 Spec page: docs/spec/gate-protocol.md#proof
 """
@@ -30,8 +30,8 @@ def welcome_of(
         hello: as it came.
         config: the signed configuration.
         signer: the gate's own key.
-        site: digest of the site model; None of the lane, which knows none.
-        binding: digest of the binding; not said by the lane.
+        site: digest of the site model; None of the stop process, which knows none.
+        binding: digest of the binding; not said by the stop process.
     """
     proof = None
     if hello.nonce is not None:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where a witness is, and who: what a configuration may name.
 
-The stop lane reads the same configuration, so nothing here knows a store, a socket or a thread.
+The stop process reads the same configuration, so nothing here knows a store, a socket or a thread.
 Spec page: docs/spec/rollback.md#witnesses
 """
 

@@ -212,7 +212,7 @@ def _disk_lines(disk: Any) -> list[str]:
 
 
 def _lane_lines(lane: Any) -> list[str]:
-    """Return whether a stop would be heard by the lane, for people."""
+    """Return whether a stop would be heard by the stop process, for people."""
     if not isinstance(lane, dict):
         return []
     alive = lane.get("alive") is True

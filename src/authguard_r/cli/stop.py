@@ -23,7 +23,7 @@ from authguard_r.wire.output import emit
 
 
 class StoppingRole(StrEnum):
-    """What may stop at a lane, in the order in which a stop without `--role` tries them."""
+    """What may stop at a stop process, in the order in which a stop without `--role` tries them."""
 
     OPERATOR = "operator"
     AUDITOR = "auditor"

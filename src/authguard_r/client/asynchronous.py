@@ -47,7 +47,7 @@ from authguard_r.wire.sockets import reach
 
 
 class AsyncGateClient:
-    """One connection to a gate, or to its stop lane.
+    """One connection to a gate, or to its stop process.
 
     A timeout or a cancellation ends the waiting, not the request: what the gate does about it goes
     on. To learn of it, ask again under the same key.

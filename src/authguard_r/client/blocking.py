@@ -47,7 +47,7 @@ from authguard_r.wire.sockets import AGAIN_S
 
 
 class GateClient:
-    """One connection to a gate, or to its stop lane. Not for two threads at once.
+    """One connection to a gate, or to its stop process. Not for two threads at once.
 
     A timeout ends the waiting, not the request: what the gate does about it goes on. To learn of
     it, ask again under the same key.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A controller between its two connections: gate and stop lane on one side, a body on the other.
+"""A controller between its two connections: gate and stop process on one side, a body on the other.
 
 It calls both; nothing can call it. Spec page: docs/spec/gate-protocol.md#controllers
 """
@@ -73,7 +73,9 @@ class Driver:
                 listener=_Ear(self, channel),
                 log=log,
                 allow_shadow=channel is MessageSource.STOP,  # a stop counts, whoever drives it
-                speaks=None if channel is MessageSource.STOP else speaks,  # the lane has no words
+                speaks=None
+                if channel is MessageSource.STOP
+                else speaks,  # the stop process has no words
             )
             for channel, name in SOCKETS.items()
         }

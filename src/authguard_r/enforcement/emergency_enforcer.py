@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emergency road: judge, second gate, write down, dispatch, watch, write down how it ended.
+"""The emergency path: judge, second gate, write down, dispatch, watch, write down how it ended.
 
 It is narrower than the enforcer's: nothing comes down it that a safety officer did not sign whole.
 Nothing is dispatched before it is on disk, in the log or, where the capability says so, in the
@@ -105,7 +105,7 @@ class EmergencyReport(Struct, frozen=True, kw_only=True):
 
 
 class EmergencyEnforcer:
-    """One robot's emergency road.
+    """One robot's emergency path.
 
     Args:
         ledger: store and clock; either may be missing.

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The gate's end of its stop lane: it starts one where none serves, and hears of every stop.
+"""The gate's end of its stop process: it starts one where none serves, and hears of every stop.
 
-A lane outlives the gate that started it; the next gate finds it and adopts it.
+A stop process outlives the gate that started it; the next gate finds it and adopts it.
 Spec page: docs/spec/gate-protocol.md#stop-lane
 """
 
@@ -45,14 +45,14 @@ from authguard_r.wire.messages import (
 )
 from authguard_r.wire.sockets import reach
 
-#: What the lane says when it ended a connection goes here, in the run folder.
+#: What the stop process says when it ended a connection goes here, in the run folder.
 LOG = "stop-lane.log"
 _MAIN = "import sys; from authguard_r.estop.main import main; sys.exit(main(sys.argv[1:]))"
 _BOUND = {int(kind): 1 << 13 for kind in (Kind.WELCOME, Kind.EVENT, Kind.REPLY, Kind.ERROR)}
 
 
 def start_lane(files: EStopFiles) -> subprocess.Popen[bytes] | None:
-    """Start a lane in a session of its own, unless one serves; None then. Returns once it serves.
+    """Start a stop process in a session of its own and wait until it serves; None if one serves.
 
     The process inherits no open file and no session; who keeps the result can reap it.
 
@@ -97,7 +97,7 @@ def _ready(process: subprocess.Popen[bytes]) -> subprocess.Popen[bytes]:
 
 
 def _why(error: object) -> str:
-    """Return the lane's own words, as its first line says them."""
+    """Return the stop process's own words, as its first line says them."""
     if not isinstance(error, dict):
         return "it does not say that it serves"
     place = f" (at {error['where']})" if error.get("where") else ""
@@ -105,7 +105,7 @@ def _why(error: object) -> str:
 
 
 class EStopConnection(asyncio.Protocol):
-    """The gate's connection to its stop lane.
+    """The gate's connection to its stop process.
 
     Args:
         path: the stop socket.
@@ -129,18 +129,18 @@ class EStopConnection(asyncio.Protocol):
         self._asked: dict[int, Callable[[], None]] = {}
         self._number = 0
         self.welcome: Welcome | None = None
-        self.pid: int | None = None  # the lane's process, as the kernel says
+        self.pid: int | None = None  # the stop process's process, as the kernel says
 
     @property
     def connected(self) -> bool:
-        """True while the lane can be asked and told something."""
+        """True while the stop process can be asked and told something."""
         return self._line is not None
 
     async def connect(self) -> None:
         """Connect; stops come from then on.
 
         Raises:
-            EnvironmentFault: no lane serves there.
+            EnvironmentFault: no stop process serves there.
             AuthenticityError: another user's process serves there.
         """
         wire = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -166,7 +166,7 @@ class EStopConnection(asyncio.Protocol):
         self._line, self.pid = line, owner.pid
 
     def heard(self, n: int) -> None:
-        """Say that this stop, and no other, is recorded; the lane forgets it."""
+        """Say that this stop, and no other, is recorded; the stop process forgets it."""
         self._say(Kind.HEARD, 0, Heard(n=n))
 
     def sync(self, done: Callable[[], None]) -> None:
@@ -174,7 +174,8 @@ class EStopConnection(asyncio.Protocol):
 
         Args:
             done: called when `on_stop` was called for every suspending stop that a controller had
-                carried out for this lane before now; never when the connection is lost first.
+                carried out for this stop process before now; never when the connection is lost
+                first.
         """
         if self._line is None:
             return
@@ -184,12 +185,12 @@ class EStopConnection(asyncio.Protocol):
             self._say(Kind.SYNC, self._number, Nothing())
 
     def close(self) -> None:
-        """Let go of the connection; the lane serves on."""
+        """Let go of the connection; the stop process serves on."""
         if self._line is not None:
             self._line.close()
 
     def data_received(self, data: bytes) -> None:
-        """Take in what the lane says."""
+        """Take in what the stop process says."""
         try:
             for item in self._reader.feed(data):
                 self._take(item)
@@ -197,7 +198,7 @@ class EStopConnection(asyncio.Protocol):
             self._why = error
             self.close()
 
-    def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002 - the lane said why
+    def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002 - the stop process said why
         """Note that no stop is heard of any more."""
         self._line = None
         self._asked.clear()

@@ -23,7 +23,7 @@ _UNDERSTOOD = b"2"
 
 
 class EStopFiles(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What a lane is started with.
+    """What a stop process is started with.
 
     Args:
         run: the run folder; the gate's user owns it.
@@ -55,7 +55,7 @@ def asked(argument: str) -> EStopFiles:
 
 
 def config_digest(files: EStopFiles) -> str:
-    """Return the SHA-256 of the configuration that a lane read: an older one is known by it.
+    """Return the SHA-256 of the configuration that a stop process reads, to recognize an older one.
 
     Raises:
         EnvironmentFault: the configuration cannot be read.

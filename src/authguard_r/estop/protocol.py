@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the stop lane does with every byte and every moment, without a socket.
+"""What the stop process does with every byte and every moment, without a socket.
 
 The process around it (`server`) moves bytes and asks the clock. A stop goes to the controllers
 before anything else happens; records, proofs and files come when nobody waits.
@@ -101,12 +101,12 @@ class Dropped(Struct, frozen=True):
 
 
 class EStopDispatcher:
-    """Every connection of one lane.
+    """Every connection of one stop process.
 
     Args:
         robot: whose lane this is.
         config: who may be what; read once.
-        own_uid: the lane's own user, the only one that may be the gate.
+        own_uid: the stop process's own user, the only one that may be the gate.
         signer: the gate's own key.
         journal: stops for the gate.
     """
@@ -381,7 +381,7 @@ class EStopDispatcher:
 
 
 def lane_bound(role: ClientRole) -> Callable[[int], int]:
-    """Return the longest body of each kind that a role may send to the lane.
+    """Return the longest body of each kind that a role may send to the stop process.
 
     Anybody but the controller and the gate may stop, and nothing else.
     """

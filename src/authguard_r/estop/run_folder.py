@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a stop lane holds of its run folder: the socket, and the right to serve it.
+"""What a stop process holds of its run folder: the socket, and the right to serve it.
 
 The right is a lock on the file with the process's number; the kernel takes it back when the
 process dies, however it dies. Spec page: docs/spec/gate-protocol.md#stop-lane
@@ -25,14 +25,14 @@ from authguard_r.wire.stop_limits import LIMITS
 SOCKET, PID, SPOOL = "stop.sock", "stop-lane.pid", "stops.spool"
 #: Stops that suspend the mission have a file of their own: nobody else's can fill it.
 FIRST_SPOOL = "operator-stops.spool"
-#: Is there while a lane serves that a gate started.
+#: Is there while a stop process serves that a gate started.
 OF_GATE = "stop-lane.of-gate"
 #: Holds the name of the last lane that served here.
 EPOCH = "stop-lane.epoch"
 
 
 class RunFolder(Struct, frozen=True, kw_only=True):
-    """What a lane holds of its run folder.
+    """What a stop process holds of its run folder.
 
     Args:
         run: the folder.
@@ -53,10 +53,10 @@ def take_place(run: Path, *, of_gate: bool = False) -> RunFolder:
 
     Args:
         run: the folder.
-        of_gate: a gate started the lane, and a gate that ends ends it.
+        of_gate: a gate started the stop process, and a gate that ends ends it.
 
     Raises:
-        EnvironmentFault: a lane serves here already, or the folder cannot be used.
+        EnvironmentFault: a stop process serves here already, or the folder cannot be used.
     """
     path = run / SOCKET
     if not run.is_dir():
@@ -89,7 +89,7 @@ def leave_place(place: RunFolder) -> None:
 
 
 def end_lane(run: Path) -> None:
-    """End the lane that serves there: ask it to, and kill it when it hangs.
+    """End the stop process that serves there: ask it to, and kill it when it hangs.
 
     Raises:
         EnvironmentFault: it is not the caller's to end, or it serves on.
@@ -113,7 +113,7 @@ def end_lane(run: Path) -> None:
 
 
 def is_of_gate(run: Path) -> bool:
-    """True when a lane serves there that a gate started, this one or one before."""
+    """True when a stop process serves there that a gate started, this one or one before."""
     return is_served(run / SOCKET) and (run / OF_GATE).exists()
 
 
@@ -170,7 +170,7 @@ def _hold(path: Path) -> int:
 def _listen(path: Path) -> socket.socket:
     with contextlib.suppress(FileNotFoundError):
         if stat.S_ISSOCK(path.lstat().st_mode):
-            path.unlink()  # of a lane that is dead
+            path.unlink()  # of a stop process that is dead
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
         listener.settimeout(0)

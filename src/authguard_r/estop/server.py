@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The stop lane: a process in which no decision, no fsync and no mission is in a stop's way.
+"""The stop process: a process in which no decision, no fsync and no mission is in a stop's way.
 
 One thread waits for all sockets at once and blocks on none. Trust, key and configuration are read
 once, at the start: a change of any of them takes a new lane.
@@ -35,7 +35,7 @@ class EStopServer:
 
     Args:
         place: the socket; the caller lets go of it.
-        wake: readable when the lane is to end.
+        wake: readable when the stop process is to end.
         say: writes a line to the log, or not; must not wait.
     """
 

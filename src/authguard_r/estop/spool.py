@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a stop lane leaves behind in files: stops that no gate has recorded, and its own name.
+"""What a stop process leaves behind in files: stops that no gate has recorded, and its own name.
 
 The files are for stops made while no gate runs: they are written after the answer, never synced,
 and emptied once a gate has recorded all that they hold. Losing one loses records, never a stop.
@@ -26,7 +26,7 @@ _EPOCH = re.compile(rb"[0-9]{1,15}")
 
 
 class Spool:
-    """A file beside the lane's socket: one JSON line for each stop.
+    """A file beside the stop process's socket: one JSON line for each stop.
 
     A world that does not let us write is no reason not to stop: nothing here raises.
 
@@ -101,7 +101,7 @@ def left_by(*spools: Spool) -> tuple[StopHeard, ...]:
 
 
 def next_epoch(path: Path, wall_ms: int, known: tuple[StopHeard, ...]) -> int:
-    """Return a lane's name, larger than every earlier one's here, and write it down.
+    """Return a stop process's name, larger than every earlier one's here, and write it down.
 
     A wall clock that was set back gives no name that a gate takes for one that it knows.
 

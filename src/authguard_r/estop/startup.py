@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The stop lane's beginning and end: what it reads, how the machine favors it, when it goes.
+"""The stop process's beginning and end: what it reads, how the machine favors it, when it goes.
 
 Spec page: docs/spec/gate-protocol.md#stop-lane
 """
@@ -38,14 +38,14 @@ _MCL_CURRENT = 1
 
 
 class EStopReady(Struct, frozen=True, kw_only=True):
-    """A lane that serves.
+    """A stop process that serves.
 
     Args:
         ready: true.
         robot: whose lane it is.
         socket: where it listens.
         pid: the process.
-        epoch: when it started, milliseconds since 1970, and more than an earlier lane's.
+        epoch: when it started, milliseconds since 1970, and more than an earlier stop process's.
         unheard: stops that an earlier lane left and no gate has recorded.
         spool: stops can be written to the file.
         favored: the machine gave it priority over others.
@@ -110,7 +110,7 @@ def run_lane(
         of_gate: a gate started it, and a gate that ends ends it.
 
     Raises:
-        EnvironmentFault: a file is missing, or a lane serves there already.
+        EnvironmentFault: a file is missing, or a stop process serves there already.
         MalformedError: the configuration is none, or another robot's.
         AuthenticityError: key, certificate or configuration do not hold, or are another robot's.
     """

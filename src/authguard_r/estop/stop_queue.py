@@ -101,7 +101,7 @@ class Backlog:
     """The stops that are not recorded: the suspending ones, and the others.
 
     Args:
-        epoch: this lane's name, larger than every earlier lane's.
+        epoch: this stop process's name, larger than every earlier stop process's.
         known: what an earlier lane left, in order; numbers go on after them.
     """
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keeps a stop lane serving for as long as the gate does, and hears of every stop.
+"""Keeps a stop process serving for as long as the gate does, and hears of every stop.
 
-A lane that dies is started again, and one that hangs is replaced. At the end no lane that a gate
-started is left; one that was started by hand serves on.
+A stop process that dies is started again, and one that hangs is replaced. At the end no stop
+process that a gate started is left; one that was started by hand serves on.
 Spec page: docs/spec/gate-protocol.md#stop-lane
 """
 
@@ -41,15 +41,15 @@ class StopListener(Protocol):
         ...
 
     def lane_silent(self, *, is_silent: bool) -> None:
-        """Say whether the lane, which is connected, does not answer; told when that changes."""
+        """Say whether a connected stop process answers; called when that changes."""
         ...
 
 
 class EStopSupervisor:
-    """One robot's stop lane, as its gate keeps it.
+    """One robot's stop process, as its gate keeps it.
 
     Args:
-        files: what a lane is started with.
+        files: what a stop process is started with.
     """
 
     def __init__(self, files: EStopFiles) -> None:
@@ -66,7 +66,7 @@ class EStopSupervisor:
         return time.monotonic() - self._answered_s <= LIMITS.stop_within_s
 
     def start(self) -> None:
-        """Start a lane unless one serves.
+        """Start a stop process unless one serves.
 
         Raises:
             EnvironmentFault: none serves and none can be started.
@@ -77,7 +77,7 @@ class EStopSupervisor:
             self._started.append(started)
 
     def end(self) -> None:
-        """End the lane that this gate or one before it started.
+        """End the stop process that this gate or one before it started.
 
         Raises:
             EnvironmentFault: it does not end.
@@ -93,7 +93,7 @@ class EStopSupervisor:
                 process.wait()
 
     def sync(self, done: Callable[[], None]) -> bool:
-        """Ask whether every stop that the lane made was heard of; False when none serves.
+        """Ask whether every stop that the stop process made was heard of; False when none serves.
 
         Args:
             done: called when it was.
@@ -107,7 +107,7 @@ class EStopSupervisor:
         """Be connected, and again whenever the connection was lost, until canceled.
 
         Args:
-            listener: hears of every stop, and of the lane's loss.
+            listener: hears of every stop, and of the stop process's loss.
             connected: called whenever stops are heard of from now on.
         """
         while True:
@@ -127,11 +127,11 @@ class EStopSupervisor:
             await self._restart()
 
     async def _watch(self, listener: StopListener, lost: asyncio.Event) -> None:
-        """Ask the lane whether it is there, again and again, until the connection is lost."""
+        """Ask the stop process again and again whether it works, until the connection is lost."""
         self._asked_s, is_told = None, False
         listener.lane_silent(is_silent=False)
         while not lost.is_set():
-            if not self._is_asked:  # one question at a time: a lane that hangs gets no heap
+            if not self._is_asked:  # one question at a time: a stop process that hangs gets no heap
                 self._ask_again()
             with suppress(TimeoutError):
                 async with asyncio.timeout(
@@ -147,7 +147,7 @@ class EStopSupervisor:
                 self._replace()
 
     def _replace(self) -> None:
-        """Kill a lane that hangs; its end is noticed, and another one started."""
+        """Kill a stop process that hangs; its end is noticed, and another one started."""
         if self._link is not None and self._link.pid is not None:
             kill(self._link.pid)
 
@@ -161,23 +161,21 @@ class EStopSupervisor:
 
     def _answered(self) -> None:
         self._answered_s, self._asked_s = self._asked_s or -math.inf, None
-        if (
-            time.monotonic() - self._answered_s > LIMITS.stop_ask_s
-        ):  # this process was late, not the lane
+        if time.monotonic() - self._answered_s > LIMITS.stop_ask_s:  # this process was late
             self._ask_again()
 
     async def _connect(self, listener: StopListener, lost: asyncio.Event) -> Callable[[], None]:
-        """Return what says that the last stops are recorded, and lets go of the lane."""
+        """Return what says that the last stops are recorded, and lets go of the stop process."""
         recorded: list[int] = []
 
         def on_stop(heard: StopHeard) -> None:
             listener.stopped(heard)
-            if not recorded:  # one word for all of a moment: a flood of stops waits in the lane
+            if not recorded:  # one message for many: a flood of stops waits in the stop process
                 loop.call_later(LIMITS.stop_heard_s, say)
             recorded.append(heard.n)
 
         def say() -> None:
-            """Say what is recorded, unless a suspension is owed: the lane tells of it again then.
+            """Say what is recorded, unless a suspension is owed; then the stop is sent again.
 
             A gate that dies meanwhile has it on no disk of its own.
             """
@@ -215,7 +213,7 @@ class EStopSupervisor:
 
 
 def retire_stale(files: EStopFiles) -> None:
-    """End a lane that serves by another configuration than this one: its users are not these.
+    """End a stop process that serves with another configuration: its users are other ones.
 
     Raises:
         EnvironmentFault: it does not end.

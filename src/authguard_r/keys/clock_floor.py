@@ -46,8 +46,8 @@ def boot_ms(wall_ms: int, trust: Trust, *known_ms: int) -> int:
     """Return the instant to judge a process's own parts by when it starts.
 
     It is the wall clock's, unless nothing could have been signed yet: then the latest instant that
-    is known to be over. It decides whether a gate and its stop lane serve, and nothing else: what
-    is decided and recorded waits for a clock that is right.
+    is known to be over. It decides whether a gate and its stop process serve, and nothing else:
+    what is decided and recorded waits for a clock that is right.
 
     Args:
         wall_ms: the machine's clock.

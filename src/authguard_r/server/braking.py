@@ -171,7 +171,7 @@ class Braking:
     def _keep(self, who: _Who, waiting: _PendingBrake, now_ms: int) -> None:
         """Write a stop down: now, or later with those that follow.
 
-        The lane may confirm what nobody confirmed here: its word comes within a second.
+        The stop process may confirm what nobody confirmed here: its word comes within a second.
         """
         before = self._written.get(who)
         if before is None and waiting.stood_ms is not None:

@@ -72,7 +72,7 @@ class _Failed(Struct, frozen=True):
 
 
 class EmergencyCalls:
-    """The emergency road's clients.
+    """The emergency path's clients.
 
     Args:
         rescue: the road.

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The gate's process from its start to its end: what it takes hold of, in which order, and lets go.
 
-Order matters: the robot's name first, then the store, then recovery, then the stop lane, and only
-then clients. A gate that cannot have all of them serves nobody.
+Order matters: the robot's name first, then the store, then recovery, then the stop process, and
+only then clients. A gate that cannot have all of them serves nobody.
 Spec page: docs/spec/gate-protocol.md#start-and-end
 """
 

@@ -59,7 +59,7 @@ def longest_ms(action: Action, lease: Lease, now_ms: int) -> int:
 
 
 class Unexplained(Struct, frozen=True):
-    """A stop that the controller tells of, until the lane has had time to say whose it was."""
+    """A stop that the controller reports and that the stop process has not explained yet."""
 
     stops: int
     since_ms: int
@@ -260,7 +260,7 @@ class RemoteController:
             self._halting, self._stood = False, max(self._stood, number)
             if message.life != self._life:
                 self._count_anew(message.life)
-            if message.stops > self._stops:  # ours, its own, or the lane's: the lane tells
+            if message.stops > self._stops:  # whose it was, the stop process says
                 self._unexplained = Unexplained(message.stops, self._mono_ms())
                 self._ask(partial(self._explained, self._unexplained))
             return
@@ -292,15 +292,15 @@ class RemoteController:
         if waiting is None or self._mono_ms() - waiting.since_ms < LIMITS.explain_within_ms:
             return self._stops
         explained = partial(self._explained, waiting)
-        if not self._ask(explained):  # nobody can have stopped it through a lane
+        if not self._ask(explained):  # nobody can have stopped it through a stop process
             explained()
         return self._stops
 
     def _explained(self, asked: Unexplained) -> None:
         """Count a stop as heard of: whoever asked for it, it has had its effect.
 
-        Only the one that the lane was asked about: it may have stopped the robot again since, and
-        another controller counts from its own start.
+        Only the one that the stop process was asked about: it may have stopped the robot again
+        since, and another controller counts from its own start.
         """
         if self._unexplained is asked:
             self.heard_of(self._life, asked.stops)

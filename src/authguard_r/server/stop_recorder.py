@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stops that were carried out, by the lane or by the gate, written down, each once.
+"""Stops that were carried out, by the stop process or by the gate, written down, each once.
 
 Spec page: docs/spec/gate-protocol.md#stop-lane
 """
@@ -26,12 +26,12 @@ from authguard_r.wire.messages import SUSPENDING, ClientRole, Stop, StopHeard
 
 #: What is said while no stop is heard of.
 _GONE = "the stop lane is gone"
-#: What is said while the lane is connected and does not answer.
+#: What is said while the stop process is connected and does not answer.
 _SILENT = "the stop lane does not answer"
 
 
 class _ToldStop(Struct, frozen=True, kw_only=True):
-    """A stop as the lane, or the gate itself, tells of it.
+    """A stop as the stop process, or the gate itself, tells of it.
 
     Args:
         by: who asked.
@@ -40,7 +40,7 @@ class _ToldStop(Struct, frozen=True, kw_only=True):
         key: names the stop; empty: nothing else is the same.
         why: its words.
         stood_ms: after how long the robot stood; None: nobody confirmed it.
-        by_lane: the lane tells of it, or else the gate itself.
+        by_lane: the stop process tells of it, or else the gate itself.
     """
 
     by: Identifier
@@ -59,7 +59,7 @@ class _Known(Struct, frozen=True):
         by_lane: who told of it last.
         at_ms: when, on the gate's monotonic clock.
         is_confirmed: somebody said that the robot stood.
-        is_whole: lane and gate have told of it since.
+        is_whole: stop process and gate have told of it since.
     """
 
     by_lane: bool
@@ -116,7 +116,7 @@ class StopRecorder:
             self._view.mission.changed()
 
     def taken(self, client: ServedClient, stop: Stop, stood_ms: int | None, more: int) -> None:
-        """Record a stop that the gate itself carried out, unless the lane did and told of it.
+        """Record a stop that the gate itself carried out, unless the stop process told of it.
 
         Args:
             client: whose stop it is; an operator's has suspended the mission already.
@@ -136,7 +136,7 @@ class StopRecorder:
         self._note(told, {"more": more}, suspends=False)
 
     def stopped(self, heard: StopHeard) -> None:
-        """Record a stop that the lane carried out, once.
+        """Record a stop that the stop process carried out, once.
 
         An operator's suspends the mission until a signed `resume`.
         """
@@ -161,12 +161,12 @@ class StopRecorder:
         self._look()
 
     def lane_lost(self, why: AuthGuardError | None) -> None:
-        """Say that no stop is heard of until the lane is back."""
+        """Say that no stop is heard of until the stop process is back."""
         self._liveness.holds(_SILENT, is_so=False)
         self._liveness.holds(_GONE, is_so=True, details={} if why is None else {"why": str(why)})
 
     def lane_silent(self, *, is_silent: bool) -> None:
-        """Say that the lane is there and does not answer, or does again."""
+        """Say that the stop process is there and does not answer, or does again."""
         self._liveness.holds(_GONE, is_so=False)
         self._liveness.holds(_SILENT, is_so=is_silent)
 
@@ -185,8 +185,8 @@ class StopRecorder:
     def _recall(self, told: _ToldStop) -> _Known | None:
         """Return what is known of the same stop.
 
-        Lane and gate each tell of it, and tell again while nobody confirms it. Once it is confirmed
-        and one of the two tells of the same name again, that is another stop.
+        Stop process and gate each tell of it, and tell again while nobody confirms it. Once it is
+        confirmed and one of the two tells of the same name again, that is another stop.
         """
         if not told.key:
             return None

@@ -57,7 +57,7 @@ class Gate(Struct, frozen=True, kw_only=True):
         ledger: store and trusted time.
         facts: the site and who this gate is.
         safety: the second gate, for what-ifs too.
-        watch: holds the controller; for the emergency road.
+        watch: holds the controller; for the emergency path.
         trust: who may say what.
         lists: the revocation lists in force.
         anchor: whether the store is the one that was counted outside of it.

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The symbolic robot as a process: its world in real time, its gate, its stop lane, its sensors.
+"""The symbolic robot as a process: its world in real time, its gate, its stop process, its sensors.
 
-It calls the gate and the lane; nothing can call it. How-to: docs/howto/simulator.md
+It calls the gate and the stop process; nothing can call it. How-to: docs/howto/simulator.md
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every fault of a site model with its place, so that an author mends them in one round.
+"""Every fault of a site model with its place, so that an author fixes them in one round.
 
 What is wrong with names and with places is found in `names` and `places`; the rest here.
 Spec page: docs/spec/site-model.md#soundness

@@ -48,7 +48,7 @@ class ClientRole(StrEnum):
     ESTIMATOR = "estimator"
     CONTROLLER = "controller"
     AUDITOR = "auditor"
-    #: the gate itself, at the stop lane; only the lane's own user may take it
+    #: the gate itself, at the stop process; only the stop process's own user may take it
     GATE = "gate"
 
 
@@ -100,11 +100,11 @@ class Kind(IntEnum):
     METRICS = 83
     EXPLAIN = 84
     APPROVALS = 85
-    # the stop lane's
+    # the stop process's
     STOP = 96
-    #: the gate's, to the lane: a stop is recorded
+    #: the gate's, to the stop process: a stop is recorded
     HEARD = 97
-    #: the gate's, to the lane: which stops were there before this
+    #: the gate's, to the stop process: which stops were there before this
     SYNC = 98
 
 
@@ -137,8 +137,8 @@ class Welcome(_Message, frozen=True, kw_only=True):
         mode: `shadow` releases nothing.
         role: as asked for.
         client: as asked for.
-        site: digest of the site model; the stop lane knows none.
-        binding: digest of the binding by which it reads planners; the stop lane knows none.
+        site: digest of the site model; the stop process knows none.
+        binding: digest of the binding by which it reads planners; the stop process knows none.
         proof: token of a `Proof`, when there was a nonce.
     """
 
@@ -442,17 +442,17 @@ class Stopped(_Message, frozen=True, kw_only=True):
 
 
 class StopHeard(_Message, frozen=True, kw_only=True):
-    """A stop that was carried out, for the gate's log (the lane's `EVENT`).
+    """A stop that was carried out, for the gate's log (the stop process's `EVENT`).
 
     Args:
-        epoch: when the lane that heard it started, milliseconds since 1970, and in any case more
-            than an earlier lane's; with `n` it is the stop's name, and the same name twice is the
-            same stop.
+        epoch: when the stop process that heard it started, milliseconds since 1970, and in any
+            case more than an earlier stop process's; with `n` it is the stop's name, and the same
+            name twice is the same stop.
         n: grows from stop to stop, in the order in which they came.
         by: the client's own name.
         uid: its user, as the kernel says.
         role: what it was there.
-        time_ms: the lane's wall clock when it came.
+        time_ms: the stop process's wall clock when it came.
         why: the client's words; explain, decide nothing.
         stood_ms: after how long the robot stood, the longest of all; null when nobody confirmed
             one of them in time.
@@ -478,7 +478,7 @@ class StopHeard(_Message, frozen=True, kw_only=True):
 
 
 class Heard(_Message, frozen=True, kw_only=True):
-    """The stop of this number, and no other, is recorded; the lane may forget it."""
+    """The stop of this number, and no other, is recorded; the stop process may forget it."""
 
     n: Positive
 

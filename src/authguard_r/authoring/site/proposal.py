@@ -57,7 +57,7 @@ def to_yaml(proposal: SiteProposal, *, where: str) -> str:
     Raises:
         MalformedError: the file would be longer than a site may be, or the site has faults.
     """
-    require_sound(proposal.site, where=where)  # before it is written: a reader mends line breaks
+    require_sound(proposal.site, where=where)  # before it is written: a reader changes line breaks
     plain = {"schema": proposal.site.schema, **msgspec.to_builtins(proposal.site)}
     body = yaml.dump(
         plain, Dumper=_Dumper, sort_keys=False, default_flow_style=None, allow_unicode=True,

@@ -228,7 +228,7 @@ class GateGuard:
     ) -> Any:
         """Do as `call` does, in an event loop; a coroutine function is awaited in this one.
 
-        Canceling it ends the waiting, not the action: the stop lane does that.
+        Canceling it ends the waiting, not the action: the stop process does that.
         """
         asked = self._ask(tool, arguments, key, beside, loop=asyncio.get_running_loop())
         waiting = asyncio.wrap_future(asked)

@@ -32,12 +32,12 @@ class ReportedStatus(Struct, frozen=True, kw_only=True):
 
     Args:
         connected: the gate proved itself, and its connection is there.
-        lane: the same of the stop lane.
+        lane: the same of the stop process.
         answers: the gate answered just now.
         why: why it did not.
         mission_active: as the gate said last, as the counts are.
         refusals: since the gate started.
-        stops: by the lane, since then.
+        stops: by the stop process, since then.
         last_stop: what stopped the robot last, as far as it was heard.
         stands: nothing runs, and nothing is being stopped.
         braking: something is being stopped, and nobody says that it stands.
