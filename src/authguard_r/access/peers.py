@@ -67,7 +67,7 @@ def peer_of(sock: Socket) -> PeerCredentials:
 
 
 def client_role(config: GateConfig, uid: int, wanted: ClientRole) -> ClientRole:
-    """Return the wanted role once the user may take it; nobody is made a gate by configuration.
+    """Return the role if the user may take it; no configuration grants the gate's role.
 
     Args:
         config: the signed configuration.

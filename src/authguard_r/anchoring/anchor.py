@@ -191,14 +191,14 @@ class StoreAnchor:
             self.count()
 
     def put_back(self) -> tuple[AnchorNotice, ...]:
-        """Return what people are told while nothing goes on with this store; else nothing."""
+        """Return the notices of a store that was put back; else nothing."""
         if self._doubt is None:
             return ()
         details: dict[str, object] = {"why": str(self._doubt.why), "by": self._doubt.by}
         return (AnchorNotice(WHAT, details, recorded=True),)
 
     def require(self) -> None:
-        """Refuse while nobody has accepted this store.
+        """Refuse until a person has accepted this store.
 
         Raises:
             RefusedError: it was put back (`ROLLED_BACK`).

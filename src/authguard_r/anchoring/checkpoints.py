@@ -257,7 +257,7 @@ class Checkpoints:
 
 
 def held_notes(turn: Turn) -> tuple[str, ...]:
-    """Return the checkpoints that a store holds, the newest first; nobody has looked at them."""
+    """Return the checkpoints that a store holds, the newest first; they are not verified here."""
     held = (turn.get(CHECKPOINT, key) for key in (NEWEST, WITNESSED))
     return tuple(note.decode("utf-8", "replace") for note in dict.fromkeys(held) if note)
 

@@ -159,7 +159,7 @@ class FileCounter:
             raise self._fault("written", error.strerror or "unknown") from error
 
     def _put(self, file: int, data: bytes) -> None:
-        """Write everything, have it on disk, and let go."""
+        """Write everything to disk and close the file."""
         try:
             while data:
                 data = data[os.write(file, data) :]

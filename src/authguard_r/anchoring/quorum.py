@@ -147,7 +147,7 @@ class Quorum:
 
     @property
     def named(self) -> bool:
-        """True where there is anybody to ask."""
+        """True where there are witnesses."""
         return bool(self._witnesses)
 
     @property
@@ -202,7 +202,7 @@ class Quorum:
         return doubt
 
     def turn(self) -> Doubt | None:
-        """Take in what came, and ask whoever has not cosigned the newest checkpoint.
+        """Take in answers, and ask each witness that has not cosigned the newest checkpoint.
 
         Raises:
             StoreError: what the store holds cannot be read or written.

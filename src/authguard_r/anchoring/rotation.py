@@ -132,7 +132,7 @@ class Rotation:
         return Note(said, sign_text(said, self._origin, self._signer)), head
 
     def _give_up(self, error: AuthGuardError) -> tuple[AnchorNotice, ...]:
-        """Free what was written so far, and try again later; people are told once."""
+        """Free what was written so far, and try again later; raise the alert once."""
         self._again_ms = self._ledger.mono_ms() + LIMITS.rotation_again_ms
         with suppress(StoreError):  # else the next start removes what nobody reads
             self._mover.abandon()

@@ -137,7 +137,7 @@ KeyOf = Callable[[int, DataClass], bytes | None]
 
 
 def classes_of(name: str) -> Classes:
-    """Return what a sealed value tells of; one that nobody has thought of tells of everything."""
+    """Return the classes of data in a sealed value; an unlisted value counts as every class."""
     return CLASSES.get(name, tuple(DataClass))
 
 

@@ -186,7 +186,7 @@ class AsyncGateClient:
         return read_questions(await self.ask(Kind.APPROVALS, asking())).requests
 
     async def approval(self, counter: int) -> Question:
-        """Return the open request with this number; `client.questions.shown` reads its bytes.
+        """Return the open request with this number; `client.shown` reads its bytes.
 
         Raises:
             RefusedError: no open request has it.
@@ -242,7 +242,7 @@ class AsyncGateClient:
         return await self.ask(Kind.EXPLAIN, Explain(seq=seq))
 
     async def metrics(self) -> dict[str, Any]:
-        """Return the gate's counts, without a word of any mission."""
+        """Return the gate's counts; they hold nothing of any mission."""
         return await self.ask(Kind.METRICS, Nothing())
 
     async def watch(self, *, idle_ms: int | None = None) -> AsyncIterator[dict[str, Any]]:

@@ -37,7 +37,7 @@ _IDS = 1 << 32
 
 
 class Measurement(Struct, frozen=True):
-    """What was measured last, signed by nobody yet.
+    """What was measured last, not signed yet.
 
     Args:
         snapshot: the values.

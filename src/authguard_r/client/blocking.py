@@ -237,7 +237,7 @@ class GateClient:
         return read_questions(self._quick(Kind.APPROVALS, asking())).requests
 
     def approval(self, counter: int) -> Question:
-        """Return the open request with this number; `client.questions.shown` reads its bytes.
+        """Return the open request with this number; `client.shown` reads its bytes.
 
         Raises:
             RefusedError: no open request has it.
@@ -293,7 +293,7 @@ class GateClient:
         return self._quick(Kind.EXPLAIN, Explain(seq=seq))
 
     def metrics(self) -> dict[str, Any]:
-        """Return the gate's counts, without a word of any mission."""
+        """Return the gate's counts; they hold nothing of any mission."""
         return self._quick(Kind.METRICS, Nothing())
 
     def watch(self, *, idle_ms: int | None = None) -> Iterator[dict[str, Any]]:

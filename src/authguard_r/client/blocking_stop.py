@@ -179,7 +179,7 @@ def _confirmed(stop: StopEverywhere, within_ms: int) -> StopReply | None:
 
 
 def _finished(loop: asyncio.AbstractEventLoop, stop: StopEverywhere, within_ms: int) -> StopReply:
-    """Run a stop to its end; whoever interrupts it ends it too."""
+    """Run a stop to its end; an interrupt ends it too."""
     task = loop.create_task(stop.confirmed(within_ms=within_ms))
     try:
         return loop.run_until_complete(task)

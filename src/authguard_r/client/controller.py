@@ -269,7 +269,7 @@ class ControllerDesk:
         return self._take()
 
     def tick(self, now_ms: int) -> tuple[OutgoingMessage, ...]:
-        """Let the world go on to now; what nobody renewed is stopped."""
+        """Advance the world to now; stop actions whose lease was not renewed."""
         self._advance(now_ms)
         self._settle()  # what ended in this very millisecond, too
         return self._take()

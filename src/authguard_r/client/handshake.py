@@ -39,7 +39,7 @@ class GateVerifier(Verifier, Protocol):
 
 
 class Speaks(Struct, frozen=True, kw_only=True):
-    """The words of whoever rebuilds what a gate releases: another's words mean other things.
+    """The site and binding that a client rebuilds actions with; the gate must have the same.
 
     Args:
         site: digest of the site model.

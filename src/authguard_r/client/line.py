@@ -15,7 +15,7 @@ from authguard_r.client.start import CHUNK
 
 
 class SessionLine(asyncio.Protocol):
-    """Feeds a session from a transport and wakes whoever waits for it.
+    """Feeds a session from a transport and wakes the tasks that wait for it.
 
     Args:
         session: what the bytes mean.

@@ -159,7 +159,7 @@ class ProvenConnection(asyncio.Protocol):
                 self._listener.closed()
 
     def send(self, data: bytes) -> None:
-        """Send, unless the connection is gone; a server that reads nothing is let go."""
+        """Send, unless the connection is gone; close it to a server that reads nothing."""
         transport = self._transport
         if transport is None:
             return

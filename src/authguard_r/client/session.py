@@ -183,7 +183,7 @@ class ClientSession:
         return item
 
     def abandon(self, number: int) -> None:
-        """Drop what comes for a request from now on: nobody waits for it any more."""
+        """Drop further answers to a request: its caller waits no longer."""
         exchange = self._exchanges.get(number)
         if exchange is None:
             return

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One stop, sent to the stop process and to the gate at once, until somebody confirms it.
+"""One stop, sent to the stop process and to the gate at once, until it is confirmed.
 
 Either of them can hang or be gone. The log has the stop once, for both are told its name.
 Spec page: docs/spec/gate-protocol.md#a-stop-at-the-gate
@@ -193,7 +193,7 @@ class StopEverywhere:
         return tuple(one.state for one in self.answers.values())
 
     def _is_over(self, unchanged_s: float) -> bool:
-        """Return True when the robot stands, or it was long enough so that nobody could say so."""
+        """Return True when the robot stands, or when no confirmation came in time."""
         parts = self.answers.values()
         if any(one.has_stopped for one in parts) or all(one.is_over for one in parts):
             return True

@@ -184,7 +184,7 @@ class EmergencyEnforcer:
         return msgspec.structs.replace(call, action=action, safety=safety)
 
     def begin(self, call: JudgedEmergency) -> EmergencyReport | EmergencyExecution:
-        """Write an accepted call down and dispatch it; whoever called watches it.
+        """Record an accepted call and dispatch it; the caller watches it.
 
         Raises:
             RuntimeError: it was not accepted: a fault of the caller's.

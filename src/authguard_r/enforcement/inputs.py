@@ -213,7 +213,7 @@ class InputVerifier:
         return held_mission(_token(act, digest), digest)
 
     def lost(self, act: Transaction, digest: Digest) -> Reason | None:
-        """Return why nobody's signature stands behind a mission now; None: somebody's does.
+        """Return why no valid signature stands behind a mission now; None: one does.
 
         Asked anew, whatever was believed before.
 
@@ -292,7 +292,7 @@ class InputVerifier:
         return kept
 
     def _keep(self, verified: VerifiedMission) -> VerifiedMission:
-        """Keep a mission; whoever may sign many must not be able to fill the memory."""
+        """Keep a verified mission in memory and forget the oldest, so that memory is bounded."""
         if len(self._verified) >= LIMITS.kept_missions:
             self._verified.clear()
         self._verified[verified.digest] = verified
@@ -339,7 +339,7 @@ class InputVerifier:
         return True
 
     def _require_one_name(self, token: bytes, others: tuple[str, ...]) -> None:
-        """Require that whoever approves has signed none of the others under another name.
+        """Require that an approver has signed no other answer under another name.
 
         People are counted by names; an authority that gave one key two names gave one person two
         voices. A denial is taken from anybody.
@@ -376,7 +376,7 @@ class InputVerifier:
         )
 
     def verify_preapproval(self, act: Transaction, token: bytes) -> VerifiedPreApproval:
-        """Return the pre-approval in a token, at the act's time, of nobody who issued the mission.
+        """Return the pre-approval in a token at the transaction's time; its signer is no issuer.
 
         Raises:
             MalformedError: not a pre-approval token.

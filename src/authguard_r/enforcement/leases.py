@@ -51,7 +51,7 @@ class Explained(Protocol):
 
 @runtime_checkable
 class Guarded(Protocol):
-    """A controller that begins nothing while nobody could stop it."""
+    """A controller that begins nothing while no stop would be carried out."""
 
     def require_stop(self) -> None:
         """Require that a stop would be carried out.
@@ -186,7 +186,7 @@ class LeaseMonitor:
 
 
 class ExecutionResult(Struct, frozen=True, kw_only=True):
-    """How a flight ended, as far as anybody knows.
+    """How an action ended, as far as it is known.
 
     Args:
         outcome: the controller's word, or `unknown` without one.
@@ -246,7 +246,7 @@ class ExecutionMonitor:
         return self._landed(outcome, self._findings or self._doubts())
 
     def _lost(self) -> ExecutionResult:
-        """Say that nobody knows: the robot was told to stop and did not say that it stands."""
+        """Report an unknown outcome: the robot did not confirm that it stands."""
         silent = Finding(
             "controller", Reason.CONTROLLER_FAILED, "a robot that stands", "no answer to a stop"
         )

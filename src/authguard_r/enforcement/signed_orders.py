@@ -45,7 +45,7 @@ NARROWING = frozenset({Verb.SUSPEND, Verb.REVOKE, Verb.WITHDRAW})
 
 
 class StoreClaim(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Which store somebody accepts, as it was when he looked, and in the place of which counter.
+    """Which store a person accepts, as it was at that moment, in place of which counter.
 
     Args:
         store: L_0, the link of its first record.

@@ -170,7 +170,7 @@ class EStopConnection(asyncio.Protocol):
         self._say(Kind.HEARD, 0, Heard(n=n))
 
     def sync(self, done: Callable[[], None]) -> None:
-        """Ask whether every suspending stop so far was told of.
+        """Ask whether every suspending stop so far was reported.
 
         Args:
             done: called when `on_stop` was called for every suspending stop that a controller had
@@ -199,7 +199,7 @@ class EStopConnection(asyncio.Protocol):
             self.close()
 
     def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002 - the stop process said why
-        """Note that no stop is heard of any more."""
+        """Note that stops are not reported any more."""
         self._line = None
         self._asked.clear()
         self._on_lost(self._why)

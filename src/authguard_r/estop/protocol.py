@@ -132,7 +132,7 @@ class EStopDispatcher:
 
     @property
     def is_waiting(self) -> bool:
-        """True while somebody waits for the end of a stop."""
+        """True while a client waits for the end of a stop."""
         return self._stops.is_waiting
 
     @property
@@ -163,7 +163,7 @@ class EStopDispatcher:
         return peer
 
     def received(self, peer: EStopPeer, data: bytes, now: Now) -> None:
-        """Take in bytes of a client, anybody's; what is wrong ends its connection alone."""
+        """Take in bytes of any client; a fault ends this connection alone."""
         try:
             peer.reader.put(data)
             while (item := peer.reader.next()) is not None:
@@ -178,7 +178,7 @@ class EStopDispatcher:
             self._mark(peer, now)
 
     def close(self, peer: EStopPeer, now: Now) -> None:
-        """Let a connection go that ended, whoever ended it; a second call does nothing.
+        """Forget a connection that ended; a second call does nothing.
 
         A stop that came whole is carried out and recorded all the same: its client may have left
         because nobody answered.
@@ -202,7 +202,7 @@ class EStopDispatcher:
                     self._stop(peer, read_body(item.body, Stop), item.id, now)
 
     def tick(self, now: Now) -> None:
-        """Do what is due: repeat `HALT`, answer stops that nobody confirmed, end the silent."""
+        """Do what is due: repeat `HALT`, answer unconfirmed stops, end silent connections."""
         self._stops.remind(now.mono_ms)
         self._settle(now)
         late = [p for p in self._due if p.due_ms is not None and p.due_ms <= now.mono_ms]

@@ -153,7 +153,7 @@ class EStopServer:
             self._close(peer, now)
 
     def _flush(self, now: Now) -> None:
-        """Send what there is to send, as far as it goes, and let go of who is to go."""
+        """Send waiting bytes, as many as fit, and close connections that are to end."""
         touched = self._desk.touched
         while touched:
             peers, touched[:] = touched[:], []

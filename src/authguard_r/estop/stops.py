@@ -84,7 +84,7 @@ class PendingStop(Struct, Generic[A], frozen=True, kw_only=True):
         return bool(self.brakes) and all(brake.stood >= self.needs for brake in self.brakes)
 
     def is_over(self, now_ms: int) -> bool:
-        """True when nobody is left to confirm it, or it has waited long enough."""
+        """True when no controller is left to confirm it, or it has waited long enough."""
         if now_ms - self.begun_ms >= LIMITS.stop_answer_ms:
             return True
         return all(brake.is_gone or brake.stood >= self.needs for brake in self.brakes)
@@ -129,11 +129,11 @@ class Stops(Generic[A]):
 
     @property
     def is_waiting(self) -> bool:
-        """True while somebody waits for an answer."""
+        """True while a client waits for an answer."""
         return bool(self._waiting)
 
     def join(self, brake: ControllerConnection, now_ms: int) -> None:
-        """Take a controller in; a stop that nobody has confirmed is the first it hears."""
+        """Accept a controller; it first hears of a stop that is not confirmed."""
         self._brakes.append(brake)
         if self._is_owed or self._waiting:
             brake.tell(self._wanted, now_ms)

@@ -37,7 +37,7 @@ class StopListener(Protocol):
         ...
 
     def lane_lost(self, why: AuthGuardError | None) -> None:
-        """Say that no stop is heard of."""
+        """Report that stops are not heard of any more."""
         ...
 
     def lane_silent(self, *, is_silent: bool) -> None:
@@ -165,7 +165,7 @@ class EStopSupervisor:
             self._ask_again()
 
     async def _connect(self, listener: StopListener, lost: asyncio.Event) -> Callable[[], None]:
-        """Return what says that the last stops are recorded, and lets go of the stop process."""
+        """Connect; return a function that reports the last recorded stops and closes the line."""
         recorded: list[int] = []
 
         def on_stop(heard: StopHeard) -> None:

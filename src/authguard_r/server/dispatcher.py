@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What each request does, once it is somebody's turn.
+"""What each request does when its client's turn has come.
 
 A thin table: every act is the enforcer's or the management's. Nothing is read from a socket here
 and nothing waits. Spec page: docs/spec/gate-protocol.md#requests

@@ -48,7 +48,7 @@ _Answers = dict[tuple[Identifier, str], dict[str, Any] | None]
 
 
 class _CallListener(Struct, frozen=True):
-    """Who is told what becomes of a call; nobody is told of the gate's own."""
+    """The client that hears what becomes of a call; the gate's own calls have none."""
 
     name: Identifier
     caller: Caller
@@ -344,7 +344,7 @@ def _user_of(name: Identifier) -> str:
 
 
 def rescued_json(ended: EmergencyReport) -> dict[str, Any]:
-    """Return what became of a call, as its caller is told."""
+    """Return what the caller hears of its call."""
     call = ended.call
     released = ended.ticket is not None
     findings = () if released else ended.reasons

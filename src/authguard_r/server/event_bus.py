@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What everybody who watches is told, and alerts, which are recorded first.
+"""Events for all watchers, and alerts, which are recorded first.
 
 Spec page: docs/spec/gate-protocol.md#alerts
 """
@@ -34,7 +34,7 @@ class EventBus:
 
     @property
     def wanted(self) -> bool:
-        """True when somebody watches: what nobody reads need not be written."""
+        """True when a client watches; without one no event is written."""
         return any(client.watching is not None for client in self._clients())
 
     def publish(self, event: dict[str, Any]) -> None:

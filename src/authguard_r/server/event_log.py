@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The gate's structured log, for whoever runs the machine: one JSON object a line.
+"""The gate's structured log for administrators: one JSON object for each line.
 
 It says that things happen, not what a mission holds: codes, counts, clients, no places, no things,
 no words of a plan. Who comes and goes has a bound of its own: whoever may connect can do so without

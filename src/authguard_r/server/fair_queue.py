@@ -177,7 +177,7 @@ class FairQueue:
 
 
 def _forget(client: ServedClient) -> None:
-    """Drop what a client that is gone has asked; what the gate began for it goes on to its end."""
+    """Drop the requests of a client that is gone; actions that were started run to completion."""
     begun = [item for item in client.waiting if not isinstance(item, Frame)]
     client.waiting = deque(begun)
 

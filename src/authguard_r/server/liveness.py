@@ -212,7 +212,7 @@ class Liveness:
         self._raise(what, details)
 
     def end(self, what: str, *, user: str | None = None) -> None:
-        """Say of an alert that what it told of is over; of one user's, if named."""
+        """End an alert whose cause is over; only one user's alert if a user is named."""
         for number, told in enumerate(self.alerts):
             if user is not None and str(told.get("client")).partition(".")[0] != user:
                 continue

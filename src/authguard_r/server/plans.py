@@ -303,7 +303,7 @@ class Plans:
         )
 
     def _note(self, proposal: Proposal, channel: str, result: Result) -> None:
-        """Note what an action brought to light, a part in each turn, before its planner is told."""
+        """Note an action's result, one part in each turn, before its planner receives it."""
         parts = [part for text in result.texts or ("",) for part in parts_of(text)]
         proposal.noting()
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The gate's process from its start to its end: what it takes hold of, in which order, and lets go.
+"""The gate's process from start to end: which resources it opens, in which order, and closes.
 
 Order matters: the robot's name first, then the store, then recovery, then the stop process, and
 only then clients. A gate that cannot have all of them serves nobody.
@@ -72,7 +72,7 @@ class Rendezvous(Struct, frozen=True, kw_only=True):
 
 
 def run_gate(parts: GateParts, ready: Callable[[Rendezvous], None]) -> None:
-    """Serve clients until SIGTERM or SIGINT; returns after everything is written and let go.
+    """Serve clients until SIGTERM or SIGINT; return when everything is written and closed.
 
     Args:
         parts: what it is started with.
@@ -293,7 +293,7 @@ async def _serve(
     lock: Lock,
     ready: Callable[[Rendezvous], None],
 ) -> None:
-    """Listen, say so, and serve until somebody ends it."""
+    """Listen, call `ready`, and serve until the service ends."""
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, service.ended.set)

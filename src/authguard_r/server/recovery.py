@@ -74,7 +74,7 @@ class Recovery:
         return kind is Kind.SNAPSHOT and not self._management.is_behind and self.now()
 
     def late(self, uptime_ms: int) -> bool:
-        """Settle without a snapshot once nobody sends one; True when that was now."""
+        """Settle without a snapshot when none has come in time; True when that was now."""
         return uptime_ms >= LIMITS.recovery_ms and self.now()
 
     def now(self) -> bool:

@@ -76,7 +76,7 @@ class RemoteGoal:
         self._why = ""
 
     def outcome(self) -> Outcome | None:
-        """Return how it ended, or None while nobody has said so."""
+        """Return how it ended; None while the controller has not said so."""
         return None if self._ended is None else self._ended.outcome
 
     def used(self) -> Spend:
@@ -84,11 +84,11 @@ class RemoteGoal:
         return Spend() if self._ended is None else self._ended.used
 
     def why(self) -> str:
-        """Return why it did not go as it should, or why nobody can know any more."""
+        """Return why it failed, or why its outcome cannot be known."""
         return self._why if self._ended is None else self._ended.why
 
     def end(self, message: Ended) -> None:
-        """Take in how it ended; the first word counts."""
+        """Take in how it ended; the first report counts."""
         self._ended = self._ended or message
 
     def doubt(self) -> None:
@@ -273,14 +273,14 @@ class RemoteController:
             flight.end(message)
 
     def _give_up_left(self) -> None:
-        """End as `unknown` what was sent over an earlier connection and nobody tells of."""
+        """End as `unknown` what was sent over an earlier connection and was not reported."""
         for ticket, flight in self._flights.items():
             if flight.is_left:
                 why = Reason.CONTROLLER_FAILED
                 flight.end(Ended(ticket=ticket, outcome=Outcome.UNKNOWN, why=why))
 
     def check(self) -> None:
-        """Doubt every action whose begin nobody confirmed in time."""
+        """Doubt every action whose begin was not confirmed in time."""
         late = self._mono_ms() - LIMITS.begin_within_ms
         for flight in self._flights.values():
             if not flight.begun and flight.dispatched_ms < late:
@@ -297,7 +297,7 @@ class RemoteController:
         return self._stops
 
     def _explained(self, asked: Unexplained) -> None:
-        """Count a stop as heard of: whoever asked for it, it has had its effect.
+        """Count a stop as known: it has had its effect, whichever client asked for it.
 
         Only the one that the stop process was asked about: it may have stopped the robot again
         since, and another controller counts from its own start.
@@ -307,7 +307,7 @@ class RemoteController:
             self._unexplained = None
 
     def _count_anew(self, life: int) -> None:
-        """Go by no count of before: another controller, or another start, counts from 0."""
+        """Forget the old count: another controller, or another start, counts from 0."""
         self._life, self._stops, self._unexplained = life, 0, None
 
     def forget(self, ticket: Digest) -> None:
@@ -316,19 +316,19 @@ class RemoteController:
 
 
 class ShadowGoal:
-    """An action that the old road carries out: assumed to succeed (`core.ports.Flight`)."""
+    """An action that the robot carries out without the gate; assumed to succeed."""
 
     def outcome(self) -> Outcome:
         """Return what is assumed."""
         return Outcome.SUCCEEDED
 
     def used(self) -> Spend:
-        """Return nothing: nobody measures it here."""
+        """Return nothing: a shadow run measures nothing."""
         return Spend()
 
 
 class ShadowController:
-    """Stands where a gate in shadow mode has no controller: nothing is released to anybody."""
+    """The controller of a gate in shadow mode, which releases nothing."""
 
     def dispatch(self, action: Action, lease: Lease) -> ShadowGoal:  # noqa: ARG002
         """Return the assumption."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What became of a step, told again from the log alone: word for word what was told at first.
+"""What became of a step, read from the log: the same answer as the first time.
 
 The log has it already, so nothing else is held. A value that was destroyed since is told as absent.
 Spec page: docs/spec/gate-protocol.md#idempotency
@@ -93,7 +93,7 @@ def _action(sealed: dict[str, Sealed]) -> dict[str, Any] | None:
 
 
 def _safety(told: Any) -> Any:
-    """Return the second gate's word; what had an effect was safe, or was not asked."""
+    """Return the safety gate's verdict; an action with an effect was safe."""
     if told == NOT_EVALUATED:
         return told
     return {"safe": told["safe"], "findings": [], "repair": None}

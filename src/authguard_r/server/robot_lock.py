@@ -37,7 +37,7 @@ _NAMES = Path("/proc/self/net/unix")
 
 
 class Lock:
-    """What a running gate holds; let go by `release`, or by the kernel when the process ends."""
+    """The locks of a running gate; `release` or the end of the process frees them."""
 
     def __init__(self, name: socket.socket, files: tuple[int, ...]) -> None:
         self._name = name
@@ -127,7 +127,7 @@ def _hold_name(rid: RobotId, fingerprint: str) -> socket.socket:
 
 
 def _names(stem: bytes) -> list[bytes]:
-    """Return the abstract names that begin so, whoever has them.
+    """Return the abstract socket names with this prefix, of any process.
 
     Anybody may take such a name, and even write lines of this list: it says only whom to ask.
     """
@@ -157,7 +157,7 @@ def _holder(names: list[bytes]) -> PeerCredentials | None:
 
 
 def _listener(name: bytes) -> PeerCredentials | None:
-    """Return who listens there, as the kernel says, None when nobody does.
+    """Return the process that listens there, as the kernel says; None if none does.
 
     Raises:
         BlockingIOError: its queue is full.

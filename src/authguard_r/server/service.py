@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The process's one loop: connections, turns, clocks. It decides nothing and waits for nobody.
+"""The process's one loop: connections, turns, clocks. It decides nothing and waits for no client.
 
 Everything runs in one thread, so there is nothing to lock and nothing to race: what a turn does is
 done when the next one begins. A disk that hangs holds the turn, and then no lease is renewed: the
@@ -207,7 +207,7 @@ class Service:
         self._announce(client, here=True)
 
     def came(self, client: ServedClient, item: Frame, *, alone: bool) -> None:
-        """Let a frame wait for its turn; one that comes alone when nobody waits has it now."""
+        """Let a frame wait for its turn; serve it now when it comes alone and nothing waits."""
         self._hear(client)
         if item.kind is Kind.STOP:  # before anybody's turn
             self._braking.came(client, item, self.refused)
@@ -394,7 +394,7 @@ class Service:
 
 
 def _refuse_all() -> None:
-    """Decide nothing any more: the robot was stopped, and nobody would watch what is released.
+    """Refuse every decision: the robot was stopped, and no loop would watch a lease.
 
     Raises:
         EnvironmentFault: always (`STOPPED`).

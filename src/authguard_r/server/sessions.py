@@ -68,7 +68,7 @@ class ConnectionHost(Protocol):
         ...
 
     def refused(self, name: Identifier, error: AuthGuardError) -> None:
-        """Record that somebody was refused before anything was asked."""
+        """Record a connection that was refused before its first request."""
         ...
 
 

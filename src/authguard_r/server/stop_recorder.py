@@ -161,7 +161,7 @@ class StopRecorder:
         self._look()
 
     def lane_lost(self, why: AuthGuardError | None) -> None:
-        """Say that no stop is heard of until the stop process is back."""
+        """Raise the alert that stops are not reported until the stop process is back."""
         self._liveness.holds(_SILENT, is_so=False)
         self._liveness.holds(_GONE, is_so=True, details={} if why is None else {"why": str(why)})
 
@@ -223,7 +223,7 @@ class StopRecorder:
         self._unconfirmed(is_so=stood_ms is None, by=by)
 
     def _confirm(self, told: _ToldStop) -> None:
-        """Record the end of a stop that nobody had confirmed; a planner's has no such record."""
+        """Record that an unconfirmed stop is confirmed; a planner's stop has no such record."""
         if told.role is not ClientRole.PLANNER:
             details = {"stood_ms": told.stood_ms, "confirms": True}
             self._enforcer.stopped(by=told.by, is_planner=False, details=details)
@@ -235,5 +235,5 @@ class StopRecorder:
         self._notices.publish(event)
 
     def _unconfirmed(self, *, is_so: bool, by: Identifier) -> None:
-        """Raise the alert at the first stop that nobody confirms, until one is confirmed."""
+        """Raise the alert at the first unconfirmed stop, until a stop is confirmed."""
         self._liveness.holds("nobody confirmed a stop", is_so=is_so, details={"by": by})

@@ -219,7 +219,7 @@ class Streams:
             self._record(ticket, stream, last=True)
 
     def record(self) -> None:
-        """Write what is due, and end what lasted as decided or is steered by nobody any more."""
+        """Write due records; end each stream whose time is over or whose planner is gone."""
         now_ms = self._ledger.mono_ms()
         due_ms = now_ms - LIMITS.stream_record_ms
         for ticket, stream in self._open.items():

@@ -78,7 +78,7 @@ class Gate(Struct, frozen=True, kw_only=True):
         return quietly(lambda: self.ledger.flush(everything=True)) is not None
 
     def close(self) -> None:
-        """Say a last time, outside, how far the log has come, and let go of the store."""
+        """Write the log's size to the outside counter a last time, and close the store."""
         self.ended()
         self.anchor.end()
         self.ledger.close()

@@ -92,7 +92,7 @@ def erase(connection: apsw.Connection) -> bool:
 
 
 def is_empty(connection: apsw.Connection) -> bool:
-    """True for a file that nobody has used for anything."""
+    """True for a file that was never used."""
     marks = ("application_id", "user_version", "schema_version")
     return all(connection.execute(f"PRAGMA {mark}").get == 0 for mark in marks)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Refusals wait for somebody else's fsync, and repeats are counted, so that a flood costs nothing.
+"""Refusals wait for another commit, and repeats are counted, so that a flood costs little.
 
 The first refusal of a client for a reason at a place is a record of its own; the same again within
 a window is one number in memory and one digest, written as one record when the window ends.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ballast beside the store: disk space that is let go when an outcome or a stop has no room.
+"""Reserved disk space, freed when an outcome or a stop has no room.
 
 Whoever fills the disk, by a flood of proposals or by anything else on the machine, must not be
 able to keep the gate from writing down what the robot did. Spec page: docs/spec/store.md#reserve
@@ -33,7 +33,7 @@ class Reserve:
 
     @property
     def is_gone(self) -> bool:
-        """True when the ballast was let go, or never could be had."""
+        """True when the reserve was freed, or could never be allocated."""
         return not self._is_held
 
     def let_go(self) -> bool:

@@ -70,7 +70,7 @@ class Segment(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class SegmentClaims(Struct, frozen=True):
-    """What a segment's file says of itself; nobody has looked at the checkpoint's signature."""
+    """What a segment's file says of itself; the checkpoint's signature is not checked here."""
 
     segment: Segment
     note: bytes

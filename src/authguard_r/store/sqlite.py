@@ -321,7 +321,7 @@ def _file_of(path: Path) -> tuple[int, int] | None:
 
 
 def read_rows(path: Path) -> Iterator[LogRow]:
-    """Yield the log's rows in order, from a file that nobody needs to trust.
+    """Yield the log's rows in order, from a file that is not trusted.
 
     Raises:
         StoreError: no store, corrupt, newer, or held by a running gate; or a segment of it is

@@ -184,7 +184,7 @@ class Ledger:
         call(self.fence)
 
     def raise_fence(self, at_ms: int = 0) -> None:
-        """Ask for state from now on: a motion has ended, or a time has come that nobody knew."""
+        """Require state from now on: a motion has ended, or the time was not known before."""
         with self._fencing:
             self.fence = max(self.fence + 1, at_ms)
             self._fenced(self.fence)
@@ -296,7 +296,7 @@ class Ledger:
         return True
 
     def close(self) -> None:
-        """Write what waits, if it can be written, and let go of the store."""
+        """Write what waits, if possible, and close the store."""
         with suppress(StoreError):
             self.flush(everything=True)
         self.store.close()
@@ -474,7 +474,7 @@ class Transaction:
         return self._turn.rows(first, count)
 
     def salt(self) -> str:
-        """Return fresh randomness: nobody guesses what was hashed together with it."""
+        """Return fresh random bytes, so that hashed values cannot be guessed."""
         return b64(self._page.salts(16))
 
     def forget(self, seq: int, names: Container[str]) -> None:

@@ -40,7 +40,7 @@ class SqliteTurn:
 
     @property
     def changes(self) -> bool:
-        """True when the job put, appended or let go of something."""
+        """True when the job put, appended or deleted something."""
         return bool(self._puts or self._rows or self._forgets)
 
     def write(self) -> None:
@@ -112,7 +112,7 @@ class SqliteTurn:
         self._puts[kind, key] = value
 
     def _know(self, place: tuple[str, str], value: bytes | None) -> None:
-        """Keep what is held: the lock is exclusive, so nobody else can change it."""
+        """Keep held values in memory: the lock is exclusive, so no other process changes them."""
         if len(self._known) >= LIMITS.known_values:
             self._known.clear()
         self._known[place] = value

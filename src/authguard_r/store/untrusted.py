@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A store's file that anybody may have made: opened so that nothing in it runs, and read in bounds.
+"""A store's file from an unknown source: opened so that nothing in it runs, read within bounds.
 
 A file of SQLite is a program: a view, a trigger or a column that is computed decides what a query
 returns, and a page that points at another twice makes a few bytes into many. So the schema has to
@@ -58,7 +58,7 @@ class _Patience:
 
 
 def open_stranger(path: Path) -> apsw.Connection:
-    """Return a connection to a file that nobody needs to trust, for reading alone.
+    """Return a read-only connection to a file that is not trusted.
 
     Raises:
         StoreError: what it holds is not laid out as a store or a segment is.

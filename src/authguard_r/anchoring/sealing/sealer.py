@@ -143,7 +143,7 @@ class Sealer:
 def sealer_of(
     store: Store, robot: RobotId, given: SealingPolicy | None
 ) -> tuple[Sealer | None, SealingPolicy]:
-    """Return who seals a robot's log, None when nobody may read it; and the policy in force.
+    """Return the sealer of a robot's log (None: no reader is configured) and the policy in force.
 
     Args:
         store: the robot's.

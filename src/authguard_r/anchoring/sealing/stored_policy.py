@@ -130,7 +130,7 @@ def drop_last(act: Transaction, mid: MissionId, digest: Digest) -> None:
 
 
 def expiry_ms(act: Transaction, mid: MissionId) -> int | None:
-    """Return when the newest version of a mission expires; None: it is one of before.
+    """Return when the newest version of a mission expires; None: an older store did not hold it.
 
     Raises:
         StoreError: what the store holds is no time.

@@ -81,7 +81,7 @@ def open_emergency(
 
 
 def require_signer(opened: OpenedPolicy, *, verifier: Verifier) -> None:
-    """Require that nobody revoked the signer since the policy was opened.
+    """Require that the signer was not revoked since the policy was opened.
 
     By the lists of now and the dates of then: a certificate that ended since, or a list that is
     past its next update, says nothing against a policy whose own end is signed.

@@ -329,7 +329,7 @@ class Management:
         return done
 
     def _do(self, job: Callable[[Transaction], T]) -> T:
-        """Carry an order out, unless the store was put back and nobody has accepted it."""
+        """Carry an order out, unless the store was put back and not accepted yet."""
 
         def held(act: Transaction) -> T:
             self._intake.anchor.require()

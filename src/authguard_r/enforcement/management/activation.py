@@ -205,7 +205,7 @@ def end_issued(act: Transaction, parts: ManagementParts, *, mid: MissionId | Non
 
 
 def lapsed(act: Transaction, standing: Standing | None, parts: ManagementParts) -> Standing | None:
-    """Return the standing after what ended without an order: its time, or its signer's word."""
+    """Return the standing after an end without an order: expiry, or a revoked signer."""
     if standing is None or standing.status in TERMINAL:
         return standing
     return _lapse(act, standing, _over(act, standing, parts))

@@ -70,7 +70,7 @@ def take_answer(
 
 
 def _mark_late(act: Transaction, item: VerifiedApproval) -> bool:
-    """Mark that somebody has answered a request that is over; False: it was marked before."""
+    """Mark an answer to a request that is over; False: it was marked before."""
     said = item.approval
     key, mark = f"{said.mid}:{said.counter}", f"{item.approver.id}:{said.verdict}"
     held = act.get(LATE, key)

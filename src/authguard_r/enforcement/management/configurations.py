@@ -95,7 +95,7 @@ def hold_configurations(
 
 
 def _stamp(act: Transaction) -> None:
-    """In a store of before orders had times, what was stopped or suspended is so since now."""
+    """In a store from before orders had times, a stop or suspension counts from now."""
     now, mid = str(act.now.utc_ms).encode("ascii"), act.active()
     if act.get(*STOP) == b"1":
         act.put(*STOP, now)

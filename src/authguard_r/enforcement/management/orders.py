@@ -194,5 +194,5 @@ def _may_choose(grant: Grant, signer: Principal, issuer: PrincipalId) -> bool:
 
 
 def _reserved(standing: Standing, ticket: Digest) -> Spend:
-    """Nobody knows what it used, so all of it counts as used."""
+    """What it used is unknown, so all of it counts as used."""
     return next((r.reserved for r in standing.open if r.ticket == ticket), Spend())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Consent to a class of actions before anybody asks: taken in, replaced and withdrawn.
+"""Consent to a class of actions before a request: accepted, replaced and withdrawn.
 
 Source: section "Threshold Approval Cost". Spec page: docs/spec/approval.md#pre-approval
 """
@@ -133,7 +133,7 @@ def _require_eligible(
     grant: Grant,
     parts: ManagementParts,
 ) -> None:
-    """Require somebody who could answer a request of these rows, and is not the issuer."""
+    """Require a signer who may answer a request of these rows, and is not the issuer."""
     rows = [grant.alternatives[number] for number in said.rows]
     ends = [(row.source, row.destination, *row.regions) for row in rows]
     places = [place for row in ends for place in row if place is not None]

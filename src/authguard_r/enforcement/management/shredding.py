@@ -275,15 +275,15 @@ def _is_over(act: Transaction, mid: MissionId, ripe: _Classes, parts: Management
 
 
 def _told(act: Transaction, mid: MissionId, classes: _Classes) -> _Classes:
-    """Return those of the classes whose keys are told for a mission."""
+    """Return the classes that have keys for this mission."""
     return tuple(data for data in classes if _keys(act, mid, (data,), most=1))
 
 
 def _end(act: Transaction, mid: MissionId, parts: ManagementParts) -> bool:
-    """Let go of a mission that is over, or that expired and that nobody ended.
+    """End a mission that is over or has expired, so that its fields can be destroyed.
 
     Returns:
-        False: it goes on, or nobody knows how an action of it ended.
+        False: it goes on, or the outcome of an action is unknown.
     """
     ended = lapsed(act, act.standing(mid), parts)
     if ended is None or ended.status not in TERMINAL or ended.open:

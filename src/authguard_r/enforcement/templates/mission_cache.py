@@ -26,7 +26,7 @@ T = TypeVar("T")
 
 
 class HeldMission(Struct, frozen=True, kw_only=True):
-    """A mission that was verified when it was taken in; whether it holds now, nobody has asked.
+    """A mission that was verified when it was accepted; it is not checked again here.
 
     It says whose the mission is, when it ends and what is left to settle. It is no
     `VerifiedMission`: nothing is decided, resumed, chosen or approved by it.
@@ -43,7 +43,7 @@ class HeldMission(Struct, frozen=True, kw_only=True):
 
 
 def claimed(token: bytes, kind: type[T], *, tag: Tag) -> T:
-    """Return what a token says, whoever signed it.
+    """Return what a token holds; its signature is not checked.
 
     Raises:
         MalformedError: no canonical token of this kind.

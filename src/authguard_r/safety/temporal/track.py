@@ -253,7 +253,7 @@ _CONSTANT = {Op.TRUE: ANYTHING, Op.FALSE: NOTHING}
 
 
 def _beside(atom: Atom) -> tuple[int | str | None, ...]:
-    """Return a value for each way in which a field can stand to an atom; None is another word."""
+    """Return a value for each relation of a field to an atom; None stands for any other text."""
     if isinstance(atom.value, int):
         return (atom.value - 1, atom.value, atom.value + 1)
     if atom.value in TRUTH and atom.field.startswith("state."):

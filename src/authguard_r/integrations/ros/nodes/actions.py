@@ -128,7 +128,7 @@ class _GoalServer(ActionServer):  # type: ignore[misc]
         self._answers.pop(id(goal), None)  # of one whose id was there already nobody asked
 
     async def _execute_get_result_request(self, request_header_and_message: Any) -> None:
-        """Have somebody told a goal's result, now or later; of a crowd the first ones are."""
+        """Send a goal's result, now or later; of too many clients the first ones get it."""
         key = bytes(request_header_and_message[1].goal_id.uuid)
         if key in self._result_futures and not self._result_futures[key].done():
             if self._askers[key] >= MOST_ASKERS:

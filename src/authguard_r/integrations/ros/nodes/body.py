@@ -222,7 +222,7 @@ class RosBody:
         self._changed()
 
     def strange(self, name: str, goals: int) -> None:
-        """Stop a robot that does what nobody released: somebody got round the gate."""
+        """Stop a robot that moves without a release: a command bypassed the gate."""
         self._log.say("strange", name, goals=str(goals))
         self.astray()
 

@@ -77,7 +77,7 @@ class Relay:
             await asyncio.sleep(GAP_S)
 
     def _hide(self, error: AuthGuardError) -> None:
-        """Count what is not shown; once in a while the log says why, and how many it were."""
+        """Count messages that are not shown; now and then the log says how many and why."""
         self._hidden += 1
         now_s = self._public.spinner.loop.time()
         if now_s - self._told_s >= _LINE_S:
