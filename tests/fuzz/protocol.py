@@ -33,7 +33,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 import msgspec  # noqa: E402 - after the instrumented imports
 
 from fixtures import frame_streams  # noqa: E402
-from unit.server.demo_site import House  # noqa: E402
+from unit.server.demo_site import DemoGate  # noqa: E402
 
 KINDS = tuple(Kind)
 BODIES = tuple(BODY.values())
@@ -81,7 +81,7 @@ class Talks:
     """Connections to a gate that is replaced now and then."""
 
     def __init__(self) -> None:
-        self._house: House | None = None
+        self._house: DemoGate | None = None
         self._left = 0
         self._unhandled: list[dict[str, Any]] = []
 
@@ -108,11 +108,11 @@ class Talks:
         """Start the first gate: what is loaded for it is not the first input's fault."""
         self._gate()
 
-    def _gate(self) -> House:
+    def _gate(self) -> DemoGate:
         if self._house is None or not self._left:
             if self._house is not None:
                 self._house.__exit__(None, None, None)
-            self._house = House(robot=False, estimator=False).__enter__()
+            self._house = DemoGate(robot=False, estimator=False).__enter__()
             self._house.do(self._listen)
             self._left = FOR_ONE_GATE
         self._left -= 1
@@ -122,7 +122,7 @@ class Talks:
         loop = asyncio.get_running_loop()
         loop.set_exception_handler(lambda _, context: self._unhandled.append(context))
 
-    def _require_nothing_left(self, house: House) -> None:
+    def _require_nothing_left(self, house: DemoGate) -> None:
         house.settle()
         if self._unhandled:
             context = self._unhandled.pop()
@@ -130,7 +130,7 @@ class Talks:
         if house.service._clients or house.service._sessions or house.service._users:
             raise RuntimeError("a client is left behind")
 
-    def _require_no_decision(self, house: House, before: int) -> None:
+    def _require_no_decision(self, house: DemoGate, before: int) -> None:
         house.gate.ledger.flush()
         rows = house.gate.ledger.run(lambda act: act.rows(before, 1_000))
         kinds = {read_record(row[1], where="log").kind for row in rows}

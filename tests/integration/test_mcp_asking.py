@@ -35,7 +35,7 @@ CALL = ("navigate_to", {"destination": "Isolation Room", "speed": 0.8})
 Person = Callable[[], str]
 
 
-class House:
+class AskingSetup:
     """A gate whose mission asks a second person before the isolation room."""
 
     def __init__(self, gate: RunningGate, calls: Path, name: str) -> None:
@@ -104,12 +104,12 @@ def shared() -> Iterator[SharedGate]:
 
 
 @pytest.fixture
-def house(shared: SharedGate, tmp_path: Path) -> Iterator[House]:
+def house(shared: SharedGate, tmp_path: Path) -> Iterator[AskingSetup]:
     calls = tmp_path / "calls.jsonl"
     calls.touch()
     with shared.one_test() as gate:
         gate.activate(gate.token(approvals.at_gate(gate)))
-        yield House(gate, calls, shared.name)
+        yield AskingSetup(gate, calls, shared.name)
 
 
 def outcome(answer: types.CallToolResult) -> Any:
@@ -118,7 +118,7 @@ def outcome(answer: types.CallToolResult) -> Any:
 
 @pytest.mark.parametrize("era", ERAS)
 def test_a_person_is_asked_and_signed_approvals_let_the_call_through(
-    house: House, era: str
+    house: AskingSetup, era: str
 ) -> None:
     (answer,) = house.ask(era, house.approve, process=True)
     assert not answer.is_error
@@ -130,7 +130,9 @@ def test_a_person_is_asked_and_signed_approvals_let_the_call_through(
 
 @pytest.mark.parametrize("era", ERAS)
 @pytest.mark.parametrize("said", ["accept", "decline"])
-def test_l5_a_yes_without_a_signature_moves_nothing(house: House, era: str, said: str) -> None:
+def test_l5_a_yes_without_a_signature_moves_nothing(
+    house: AskingSetup, era: str, said: str
+) -> None:
     (answer,) = house.ask(era, lambda: said)
     assert answer.is_error
     assert len(house.shown) == 1  # and is not asked for ever
@@ -138,7 +140,7 @@ def test_l5_a_yes_without_a_signature_moves_nothing(house: House, era: str, said
 
 
 @pytest.mark.parametrize("era", ERAS)
-def test_a_client_that_shows_no_forms_is_told(house: House, era: str) -> None:
+def test_a_client_that_shows_no_forms_is_told(house: AskingSetup, era: str) -> None:
     (answer,) = house.ask(era, None)
     assert answer.is_error
     assert outcome(answer) == "request_approval"
@@ -146,7 +148,7 @@ def test_a_client_that_shows_no_forms_is_told(house: House, era: str) -> None:
 
 
 @pytest.mark.parametrize("era", ERAS)
-def test_what_is_refused_outright_is_nothing_to_ask_a_person(house: House, era: str) -> None:
+def test_what_is_refused_outright_is_nothing_to_ask_a_person(house: AskingSetup, era: str) -> None:
     (answer,) = house.ask(era, house.approve, ("navigate_to", {"destination": "Office 1"}))
     assert outcome(answer) == "reject"
     assert house.shown == []
@@ -171,7 +173,7 @@ def test_a_person_who_does_not_answer_is_not_waited_for_for_ever(
 
 @pytest.mark.parametrize("era", ERAS)
 def test_a_call_that_has_a_name_is_proposed_anew_once_it_was_approved(
-    house: House, era: str
+    house: AskingSetup, era: str
 ) -> None:
     """The name stands for what became of it first; what a person was asked for is another."""
     (answer,) = house.ask(era, house.approve, CALL, key="go-1")

@@ -116,7 +116,7 @@ class Served:
             self.process.terminate()
 
 
-class House:
+class DemoGateway:
     """A gate whose robot is driven through an MCP server.
 
     Args:
@@ -242,19 +242,19 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 
 
 @pytest.fixture
-def house(shared: SharedGate, served: Served, tmp_path: Path) -> Iterator[House]:
+def house(shared: SharedGate, served: Served, tmp_path: Path) -> Iterator[DemoGateway]:
     with shared.one_test() as gate:
         gate.activate()
-        yield House(gate, tmp_path, shared.name, served)
+        yield DemoGateway(gate, tmp_path, shared.name, served)
 
 
 @contextmanager
-def own_house(folder: Path, **given: Any) -> Iterator[House]:
+def own_house(folder: Path, **given: Any) -> Iterator[DemoGateway]:
     """Yield a gate that no other test has."""
     trust = scenarios.second_trust_folder()
     with RunningGate(trust=trust, **given) as gate, attesting(gate):
         gate.activate()
-        yield House(gate, folder)
+        yield DemoGateway(gate, folder)
 
 
 def run(talk: Callable[[], Awaitable[None]]) -> None:
@@ -269,7 +269,9 @@ def verdict(result: types.CallToolResult) -> dict[str, Any]:
 
 @pytest.mark.smoke
 @pytest.mark.parametrize("era", ERAS)
-def test_what_the_mission_grants_arrives_and_a_hijack_never_does(house: House, era: str) -> None:
+def test_what_the_mission_grants_arrives_and_a_hijack_never_does(
+    house: DemoGateway, era: str
+) -> None:
     async def talk() -> None:
         async with house.client(era=era) as client:
             went = await client.call_tool("navigate_to", {"destination": "Pharmacy"})
@@ -287,7 +289,7 @@ def test_what_the_mission_grants_arrives_and_a_hijack_never_does(house: House, e
     ]
 
 
-def test_l1_every_request_of_the_protocol_is_bound_or_has_no_answer(house: House) -> None:
+def test_l1_every_request_of_the_protocol_is_bound_or_has_no_answer(house: DemoGateway) -> None:
     """Tools, resources, prompts, completions, subscriptions, log levels: every method there is."""
     methods = sorted(SPEC_CLIENT_METHODS - {"initialize", "ping", "tools/list", "tools/call"})
     asked = [("initialize", HELLO), *((method, ANYTHING) for method in methods)]
@@ -303,7 +305,7 @@ def test_l1_every_request_of_the_protocol_is_bound_or_has_no_answer(house: House
     assert house.calls() == []
 
 
-def test_l1_nothing_that_a_server_says_by_itself_reaches_the_planner(house: House) -> None:
+def test_l1_nothing_that_a_server_says_by_itself_reaches_the_planner(house: DemoGateway) -> None:
     """Every notification and every request of the protocol: one is dropped, the other declined."""
     telling = sorted({method for method, _ in SERVER_NOTIFICATIONS})
     asking = sorted({method for method, _ in SERVER_REQUESTS} - {"ping"})
@@ -335,7 +337,7 @@ UNREADABLE = (
 )
 
 
-def require_unread(house: House, answers: list[dict[str, Any]]) -> None:
+def require_unread(house: DemoGateway, answers: list[dict[str, Any]]) -> None:
     """Require that each call was refused, and logged, and reached no tool."""
     told = [answer["result"]["structuredContent"]["authguard-r"] for answer in answers]
     assert [(one["outcome"], one["reasons"]) for one in told] == [("reject", ["MALFORMED"])] * 4
@@ -348,13 +350,13 @@ def require_unread(house: House, answers: list[dict[str, Any]]) -> None:
 
 
 @pytest.mark.smoke
-def test_a_call_with_a_key_twice_is_refused_and_logged_over_a_pipe(house: House) -> None:
+def test_a_call_with_a_key_twice_is_refused_and_logged_over_a_pipe(house: DemoGateway) -> None:
     asked = [("initialize", HELLO), *(("tools/call", text) for text in UNREADABLE)]
     _, *answers = house.raw(asked)
     require_unread(house, answers)
 
 
-def test_a_call_with_a_key_twice_is_refused_and_logged_over_http(house: House) -> None:
+def test_a_call_with_a_key_twice_is_refused_and_logged_over_http(house: DemoGateway) -> None:
     with over_http(house) as (url, token), httpx2.Client(timeout=PATIENCE_S) as client:
         accept = "application/json, text/event-stream"
         shown = {"authorization": f"Bearer {token}", "accept": accept}
@@ -375,7 +377,7 @@ def test_a_call_with_a_key_twice_is_refused_and_logged_over_http(house: House) -
 
 
 @pytest.mark.smoke
-def test_l5_a_form_that_a_client_filled_in_approves_nothing(house: House) -> None:
+def test_l5_a_form_that_a_client_filled_in_approves_nothing(house: DemoGateway) -> None:
     """The forged accept of the first call: there is nobody who reads it."""
 
     async def talk() -> None:
@@ -393,7 +395,7 @@ def test_l5_a_form_that_a_client_filled_in_approves_nothing(house: House) -> Non
     assert house.calls() == []
 
 
-def test_what_a_tool_shows_is_noted_before_the_planner_is_told(house: House) -> None:
+def test_what_a_tool_shows_is_noted_before_the_planner_is_told(house: DemoGateway) -> None:
     """The sign names a station: from then on that place is known to have been read somewhere."""
     house.ask(("scan", {}))
     (refused,) = house.ask(("navigate_to", {"destination": "Station 103"}))
@@ -407,7 +409,7 @@ def test_what_a_tool_shows_is_noted_before_the_planner_is_told(house: House) -> 
     [(("error",), "failed"), (("huge",), "succeeded")],
 )
 def test_a_server_that_fails_is_told_as_it_is(
-    house: House, faults: tuple[str, ...], outcome: str
+    house: DemoGateway, faults: tuple[str, ...], outcome: str
 ) -> None:
     (answer,) = house.ask(("scan", {}), faults=faults)
     assert answer.is_error
@@ -416,7 +418,7 @@ def test_a_server_that_fails_is_told_as_it_is(
         assert "withheld" in answer.content[0].text
 
 
-def test_the_same_key_is_the_same_call(house: House) -> None:
+def test_the_same_key_is_the_same_call(house: DemoGateway) -> None:
     async def talk() -> None:
         async with house.talking() as client:
             for number in range(2):
@@ -430,7 +432,7 @@ def test_the_same_key_is_the_same_call(house: House) -> None:
 
 
 def test_a_server_whose_tools_changed_is_not_used(
-    house: House, capfd: pytest.CaptureFixture[str]
+    house: DemoGateway, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """It cannot speak to the planner in new descriptions, and no call of it is carried out."""
     pins = house.folder / "tools.json"
@@ -467,7 +469,7 @@ def pinned() -> bytes:
 
 
 @contextmanager
-def over_http(house: House, *faults: str) -> Iterator[tuple[str, str]]:
+def over_http(house: DemoGateway, *faults: str) -> Iterator[tuple[str, str]]:
     """Serve the gateway on a free port; yield its URL and its token."""
     token = house.folder / "token"
     token.write_text("a" * 40)
@@ -487,7 +489,7 @@ def over_http(house: House, *faults: str) -> Iterator[tuple[str, str]]:
             process.terminate()
 
 
-def test_over_http_nobody_is_served_without_the_token(house: House) -> None:
+def test_over_http_nobody_is_served_without_the_token(house: DemoGateway) -> None:
     """A port does not say whose process asks: other users of the machine are not the planner."""
     with over_http(house) as (url, token):
         hello = {"jsonrpc": "2.0", "id": 1, "method": "initialize", "params": HELLO}
@@ -527,7 +529,7 @@ async def http_client(url: str, token: str, era: str = "auto") -> AsyncIterator[
 
 
 @asynccontextmanager
-async def fronted(house: House, front: str) -> AsyncIterator[Client]:
+async def fronted(house: DemoGateway, front: str) -> AsyncIterator[Client]:
     """Yield a client of a gateway that is reached in this way."""
     if front == "memory":
         async with house.talking() as client:
@@ -542,7 +544,7 @@ async def fronted(house: House, front: str) -> AsyncIterator[Client]:
                 yield client
 
 
-def test_over_http_it_is_the_same_front(house: House) -> None:
+def test_over_http_it_is_the_same_front(house: DemoGateway) -> None:
     async def talk(url: str, token: str, era: str) -> None:
         async with http_client(url, token, era) as client:
             assert not (await client.call_tool("scan", {})).is_error
@@ -556,7 +558,7 @@ def test_over_http_it_is_the_same_front(house: House) -> None:
     assert [call["tool"] for call in house.calls()] == ["scan", "scan"]
 
 
-def stopped_in_flight(house: House, **more: Any) -> dict[str, Any]:
+def stopped_in_flight(house: DemoGateway, **more: Any) -> dict[str, Any]:
     """Return what the planner is told of a call that hangs, once an operator has stopped it."""
 
     async def talk() -> dict[str, Any]:
@@ -573,14 +575,14 @@ def stopped_in_flight(house: House, **more: Any) -> dict[str, Any]:
     return asyncio.run(talk())
 
 
-def test_a_stop_is_made_good_by_the_calls_that_stop_the_robot(house: House) -> None:
+def test_a_stop_is_made_good_by_the_calls_that_stop_the_robot(house: DemoGateway) -> None:
     told = stopped_in_flight(house, stops=(Call("say", {"text": "halt"}, "stop"),))
     assert told["stop"]["stopped"]
     assert told["execution"] == "aborted"
     assert [call["tool"] for call in house.calls()] == ["navigate_to", "say"]
 
 
-def test_without_such_calls_nobody_says_that_the_robot_stands(house: House) -> None:
+def test_without_such_calls_nobody_says_that_the_robot_stands(house: DemoGateway) -> None:
     told = stopped_in_flight(house)
     assert not told["stop"]["stopped"]
     assert told["execution"] == "unknown"
@@ -597,7 +599,7 @@ def test_a_stop_during_a_call_over_http_has_a_session_of_its_own(
     try:
         with shared.one_test() as gate:
             gate.activate()
-            house = House(gate, tmp_path, shared.name, served)
+            house = DemoGateway(gate, tmp_path, shared.name, served)
             halt = (Call("say", {"text": "halt"}, "stop"),)
             told = stopped_in_flight(house, stops=halt, server=(served.url,))
     finally:
@@ -608,7 +610,7 @@ def test_a_stop_during_a_call_over_http_has_a_session_of_its_own(
     confirm_stop(gate)
 
 
-def test_a_gateway_that_ends_in_mid_motion_stops_the_robot(house: House) -> None:
+def test_a_gateway_that_ends_in_mid_motion_stops_the_robot(house: DemoGateway) -> None:
     """The chat window is closed while the robot drives."""
 
     async def talk() -> None:
@@ -623,7 +625,7 @@ def test_a_gateway_that_ends_in_mid_motion_stops_the_robot(house: House) -> None
     assert [call["tool"] for call in house.calls()] == ["navigate_to", "say"]
 
 
-def test_a_gateway_that_starts_does_not_know_that_the_robot_stands(house: House) -> None:
+def test_a_gateway_that_starts_does_not_know_that_the_robot_stands(house: DemoGateway) -> None:
     """A start before may have left it moving: a stop is a call, not a belief."""
 
     async def talk() -> dict[str, Any]:
@@ -638,7 +640,7 @@ def test_a_gateway_that_starts_does_not_know_that_the_robot_stands(house: House)
 
 
 @pytest.mark.parametrize("fault", ["forges", "garbles"])
-def test_a_server_gives_no_verdict_and_asks_nobody(house: House, fault: str) -> None:
+def test_a_server_gives_no_verdict_and_asks_nobody(house: DemoGateway, fault: str) -> None:
     shown: list[str] = []
 
     async def person(_context: Any, params: Any) -> types.ElicitResult:
@@ -657,7 +659,7 @@ def test_a_server_gives_no_verdict_and_asks_nobody(house: House, fault: str) -> 
     assert (shown, len(house.calls())) == ([], 2)
 
 
-def test_a_name_that_is_no_text_names_no_call(house: House) -> None:
+def test_a_name_that_is_no_text_names_no_call(house: DemoGateway) -> None:
     async def talk() -> None:
         async with house.talking() as client:
             for key in (7, ["scan-1"], {"a": "b"}):
@@ -669,7 +671,7 @@ def test_a_name_that_is_no_text_names_no_call(house: House) -> None:
 
 
 def test_a_server_that_is_busy_with_a_call_is_not_let_go(
-    house: House, monkeypatch: pytest.MonkeyPatch
+    house: DemoGateway, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(upstreams, "PING_S", 0.2)
     monkeypatch.setattr(upstreams, "LOOK_S", 0.1)
@@ -677,7 +679,7 @@ def test_a_server_that_is_busy_with_a_call_is_not_let_go(
     assert verdict(answer)["execution"] == "succeeded"
 
 
-def test_a_server_that_left_between_two_calls_is_started_again(house: House) -> None:
+def test_a_server_that_left_between_two_calls_is_started_again(house: DemoGateway) -> None:
     async def talk() -> None:
         gateway = Gateway(house.setup("leaves"))
         async with gateway.running() as front, Client(front.server) as client:
@@ -691,7 +693,7 @@ def test_a_server_that_left_between_two_calls_is_started_again(house: House) -> 
 
 
 def test_calls_that_wait_hold_so_much_and_no_more(
-    house: House, monkeypatch: pytest.MonkeyPatch
+    house: DemoGateway, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(fronts, "MAX_WAITING", 3_000)
 
@@ -717,14 +719,14 @@ def test_calls_at_once_lose_and_reorder_nothing(
     Over HTTP each call is a request of its own, and nobody says in which order those arrive.
     """
 
-    async def talk(house: House) -> list[types.CallToolResult]:
+    async def talk(house: DemoGateway) -> list[types.CallToolResult]:
         async with fronted(house, front) as client:
             calls = (client.call_tool("scan", {}) for _ in range(count))
             return await asyncio.gather(*calls)
 
     with shared.one_test() as gate:
         gate.activate(often(gate, count=count))
-        house = House(gate, tmp_path, shared.name)
+        house = DemoGateway(gate, tmp_path, shared.name)
         answers = asyncio.run(talk(house))
         why = {r.seq: r.reasons for r in gate.news() if r.kind == "outcome" and r.reasons}
     assert [answer for answer in answers if answer.is_error] == [], why
@@ -735,7 +737,7 @@ def test_calls_at_once_lose_and_reorder_nothing(
     assert len(house.calls()) == count
 
 
-def test_what_is_no_text_passes_and_every_word_in_it_is_noted(house: House) -> None:
+def test_what_is_no_text_passes_and_every_word_in_it_is_noted(house: DemoGateway) -> None:
     (answer,) = house.ask(("scan", {}), faults=("pictures",))
     assert [item.type for item in answer.content] == ["image", "resource", "resource_link"]
     house.ask(("navigate_to", {"destination": "Station 102"}))
@@ -769,7 +771,7 @@ def test_an_answer_has_to_say_what_the_binding_demands(tmp_path: Path) -> None:
 
 
 def test_a_gateway_whose_words_are_not_the_gates_calls_nothing(
-    house: House, tmp_path: Path
+    house: DemoGateway, tmp_path: Path
 ) -> None:
     """What the gate releases would be called as something that nobody decided."""
     site = read_site(house.gate.site)
@@ -787,13 +789,15 @@ def test_a_gateway_whose_words_are_not_the_gates_calls_nothing(
     assert not [call for call in house.calls() if call["tool"] == "scan"]
 
 
-def test_a_fault_of_the_servers_own_is_an_error_of_its_tool(house: House) -> None:
+def test_a_fault_of_the_servers_own_is_an_error_of_its_tool(house: DemoGateway) -> None:
     (answer,) = house.ask(("scan", {}), faults=("odd",))
     assert answer.is_error
     assert verdict(answer)["execution"] == "failed"
 
 
-def test_a_server_that_died_is_started_again_and_nothing_begins_meanwhile(house: House) -> None:
+def test_a_server_that_died_is_started_again_and_nothing_begins_meanwhile(
+    house: DemoGateway,
+) -> None:
     async def talk() -> None:
         house.calls_file.write_text('{"tool": "before", "arguments": {}}\n')
         async with house.talking("dies") as client:
@@ -809,7 +813,7 @@ def test_a_server_that_died_is_started_again_and_nothing_begins_meanwhile(house:
 
 @pytest.mark.parametrize("server", [("/nowhere/robot-tools",), ("http://127.0.0.1:9/mcp",)])
 def test_a_server_that_does_not_come_is_an_error_with_its_place(
-    house: House, server: tuple[str, ...]
+    house: DemoGateway, server: tuple[str, ...]
 ) -> None:
     async def talk() -> None:
         async with house.talking(server=server, within_s=1.5):
@@ -823,7 +827,7 @@ def test_a_server_that_does_not_come_is_an_error_with_its_place(
     assert fault.where == server[0]
 
 
-def test_what_kept_a_gateway_from_starting_is_one_error(house: House, tmp_path: Path) -> None:
+def test_what_kept_a_gateway_from_starting_is_one_error(house: DemoGateway, tmp_path: Path) -> None:
     """A person reads why, and no group of exceptions."""
     words = ["mcp", "--robot", "courier-1", "--run", str(tmp_path / "none")]
     words += ["--site", str(house.gate.site), "--binding", str(house.gate.binding)]
@@ -835,7 +839,7 @@ def test_what_kept_a_gateway_from_starting_is_one_error(house: House, tmp_path: 
         asyncio.run(serve(house.setup(server=("/nowhere",), within_s=0.5), over_stdio))
 
 
-def test_what_a_front_raises_is_raised_as_it_is(house: House) -> None:
+def test_what_a_front_raises_is_raised_as_it_is(house: DemoGateway) -> None:
     """What is no error of ours is not made one."""
 
     async def fail(_: Front) -> None:
@@ -876,7 +880,7 @@ def odd(kind: str) -> tuple[str, ...]:
     [("result", "unknown"), ("error", "failed"), ("noise", "succeeded"), ("no-ping", "failed")],
 )
 def test_a_malformed_answer_is_none_and_a_refusal_is_told(
-    house: House, kind: str, outcome: str
+    house: DemoGateway, kind: str, outcome: str
 ) -> None:
     async def talk() -> None:
         async with house.talking(server=odd(kind)) as client:
@@ -888,7 +892,7 @@ def test_a_malformed_answer_is_none_and_a_refusal_is_told(
 
 
 @pytest.mark.parametrize("kind", ["endless", "twins"])
-def test_a_list_of_tools_that_is_none_keeps_a_server_out(house: House, kind: str) -> None:
+def test_a_list_of_tools_that_is_none_keeps_a_server_out(house: DemoGateway, kind: str) -> None:
     async def talk() -> None:
         async with house.talking(server=odd(kind), within_s=3.0):
             raise AssertionError("it came")
@@ -901,7 +905,7 @@ def test_a_list_of_tools_that_is_none_keeps_a_server_out(house: House, kind: str
 
 
 def test_a_gate_that_is_gone_is_told_and_found_again(tmp_path: Path) -> None:
-    async def talk(house: House) -> None:
+    async def talk(house: DemoGateway) -> None:
         async with house.talking() as client:
             assert not (await client.call_tool("scan", {})).is_error
             await asyncio.to_thread(house.gate.stop_process, "gate")
@@ -920,7 +924,7 @@ def test_a_gate_that_is_gone_is_told_and_found_again(tmp_path: Path) -> None:
 
 
 def test_a_gate_that_is_killed_in_mid_call_is_told(tmp_path: Path) -> None:
-    async def talk(house: House) -> None:
+    async def talk(house: DemoGateway) -> None:
         async with house.talking("hangs") as client:
             going = asyncio.create_task(client.call_tool("scan", {}))
             await asyncio.to_thread(until, house.calls, "the call")
@@ -934,7 +938,7 @@ def test_a_gate_that_is_killed_in_mid_call_is_told(tmp_path: Path) -> None:
     assert len(house.calls()) == 1
 
 
-def test_a_stop_call_that_is_not_answered_stops_nothing(house: House) -> None:
+def test_a_stop_call_that_is_not_answered_stops_nothing(house: DemoGateway) -> None:
     told = stopped_in_flight(house, stops=(Call("wait", {"seconds": 1}, "stop"),))
     assert not told["stop"]["stopped"]
     assert told["execution"] == "unknown"
@@ -949,7 +953,7 @@ def test_an_answer_that_is_none_is_an_error_beside_its_verdict() -> None:
         assert verdict(answer)["execution"] == "succeeded"
 
 
-def test_words_that_are_no_text_are_no_call(house: House) -> None:
+def test_words_that_are_no_text_are_no_call(house: DemoGateway) -> None:
     (answer,) = house.ask(("navigate_to", {"destination": "\ud800"}))
     assert answer.is_error
     assert house.calls() == []
@@ -981,7 +985,7 @@ def test_without_its_server_a_body_begins_nothing_and_stands() -> None:
 def test_in_shadow_mode_calls_go_as_they_went_and_the_gate_says_what_it_would_do(
     tmp_path: Path,
 ) -> None:
-    async def talk(house: House) -> None:
+    async def talk(house: DemoGateway) -> None:
         async with house.talking(shadow=True) as client:
             tools = [tool.name for tool in (await client.list_tools()).tools]
             assert tools == sorted(FIELDS)
@@ -1010,7 +1014,7 @@ def test_in_shadow_mode_calls_go_as_they_went_and_the_gate_says_what_it_would_do
         ]
 
 
-def test_a_gateway_in_shadow_mode_does_not_go_past_a_gate_that_enforces(house: House) -> None:
+def test_a_gateway_in_shadow_mode_does_not_go_past_a_gate_that_enforces(house: DemoGateway) -> None:
     async def talk() -> None:
         async with house.talking(shadow=True):
             raise AssertionError("it goes past the gate")
@@ -1057,7 +1061,7 @@ def test_a_tool_that_only_changes_what_the_robot_believes_is_hidden() -> None:
 
 
 def test_in_shadow_mode_a_server_that_dies_is_told_as_it_is(tmp_path: Path) -> None:
-    async def talk(house: House) -> None:
+    async def talk(house: DemoGateway) -> None:
         async with house.talking("dies", shadow=True) as client:
             assert not (await client.call_tool("scan", {})).is_error
             answer = await client.call_tool("scan", {})

@@ -26,7 +26,7 @@ from authguard_r.wire.messages import ClientRole
 from fixtures.gate_process import PATIENCE_S, environment, until
 from fixtures.guarded_tools import often
 from fixtures.shared_gate import SharedGate
-from integration.test_mcp_gateway import HELLO, House, Served, answers, odd, over_http
+from integration.test_mcp_gateway import HELLO, DemoGateway, Served, answers, odd, over_http
 from programs import courier_mcp_server
 
 #: What a gateway may need for a server that floods it, in KiB; a flood has twice as much.
@@ -43,10 +43,10 @@ def shared() -> Iterator[SharedGate]:
 
 
 @pytest.fixture
-def house(shared: SharedGate, tmp_path: Path) -> Iterator[House]:
+def house(shared: SharedGate, tmp_path: Path) -> Iterator[DemoGateway]:
     with shared.one_test() as gate:
         gate.activate(often(gate, count=100))
-        yield House(gate, tmp_path, shared.name)
+        yield DemoGateway(gate, tmp_path, shared.name)
 
 
 def message(number: Any, method: str, params: Any = None) -> bytes:
@@ -135,7 +135,9 @@ class Piped:
 
 
 @contextmanager
-def piped(house: House, *faults: str, server: tuple[str, ...] = (), **more: Any) -> Iterator[Piped]:
+def piped(
+    house: DemoGateway, *faults: str, server: tuple[str, ...] = (), **more: Any
+) -> Iterator[Piped]:
     """Yield a client of a gateway; another server than the courier's may be behind it."""
     words = house.words(*faults, **more)
     client = Piped([*words[: words.index("--") + 1], *server] if server else words)
@@ -178,7 +180,7 @@ class Session:
 
 
 @contextmanager
-def sessions(house: House, count: int, *faults: str) -> Iterator[list[Session]]:
+def sessions(house: DemoGateway, count: int, *faults: str) -> Iterator[list[Session]]:
     """Yield so many sessions of one gateway."""
     with over_http(house, *faults) as (url, token):
         until(lambda: answers(url), "the port")
@@ -199,7 +201,7 @@ def peak_kib(pid: int) -> int:
 
 
 @pytest.mark.smoke
-def test_a_pattern_that_takes_hours_holds_neither_a_call_nor_a_stop(house: House) -> None:
+def test_a_pattern_that_takes_hours_holds_neither_a_call_nor_a_stop(house: DemoGateway) -> None:
     """The server wrote the schema and the answer: held to it, the gateway would hear no stop."""
     with piped(house, "pattern") as client:
         answer = client.answer(message(1, "tools/call", SCAN))
@@ -213,7 +215,7 @@ def test_a_pattern_that_takes_hours_holds_neither_a_call_nor_a_stop(house: House
 
 
 def test_a_server_that_changes_the_schema_of_its_answers_is_not_used(
-    house: House, monkeypatch: pytest.MonkeyPatch
+    house: DemoGateway, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pins = house.folder / "pins.json"
     monkeypatch.setattr(courier_mcp_server, "FAULTS", frozenset({"pattern"}))
@@ -237,7 +239,7 @@ def test_a_server_that_changes_the_schema_of_its_answers_is_not_used(
 # answers without an end
 
 
-def test_a_line_without_an_end_is_not_kept(house: House) -> None:
+def test_a_line_without_an_end_is_not_kept(house: DemoGateway) -> None:
     """64 MiB come: nobody knows what became of the call, and the server is started anew."""
     marker = house.folder / "flooded"
     with piped(house, server=(*odd("flood"), str(marker))) as client:
@@ -252,7 +254,7 @@ def test_a_line_without_an_end_is_not_kept(house: House) -> None:
 
 @pytest.mark.parametrize("fault", ["endless", "packed"])
 def test_a_body_without_an_end_is_not_kept_and_a_packed_one_not_read(
-    house: House, fault: str
+    house: DemoGateway, fault: str
 ) -> None:
     """Packed, 64 MiB are as short as an answer may be."""
     served = Served(house.folder, fault)
@@ -278,7 +280,7 @@ def test_a_body_without_an_end_is_not_kept_and_a_packed_one_not_read(
         ("nothing", "unknown"),
     ],
 )
-def test_an_answer_that_is_odd_is_told_at_once(house: House, kind: str, outcome: str) -> None:
+def test_an_answer_that_is_odd_is_told_at_once(house: DemoGateway, kind: str, outcome: str) -> None:
     """Not when the lease is over: a fault on the way would leave the call without an end."""
     with piped(house, server=odd(kind)) as client:
         answer = client.answer(message(1, "tools/call", SCAN))
@@ -289,7 +291,7 @@ def test_an_answer_that_is_odd_is_told_at_once(house: House, kind: str, outcome:
 
 
 @pytest.mark.smoke
-def test_calls_after_a_canceled_one_wait_and_are_not_refused(house: House) -> None:
+def test_calls_after_a_canceled_one_wait_and_are_not_refused(house: DemoGateway) -> None:
     """Canceled, it still runs: the gate has not answered, and takes one proposal of a client."""
     numbers = range(1, 16)
     with piped(house, "waits") as client:
@@ -306,7 +308,7 @@ def test_calls_after_a_canceled_one_wait_and_are_not_refused(house: House) -> No
     assert len(house.calls()) == 15
 
 
-def test_over_http_a_canceled_call_gets_nobody_refused(house: House) -> None:
+def test_over_http_a_canceled_call_gets_nobody_refused(house: DemoGateway) -> None:
     """Neither its own session nor another: they are one planner to the gate."""
     calls = [message(number, "tools/call", SCAN) for number in range(1, 16)]
     with sessions(house, 2, "waits") as (one, other), ThreadPoolExecutor(20) as pool:
@@ -324,7 +326,7 @@ def test_over_http_a_canceled_call_gets_nobody_refused(house: House) -> None:
     assert len(house.calls()) == 18
 
 
-def test_a_client_that_leaves_with_calls_in_the_queue_leaves_no_doubt(house: House) -> None:
+def test_a_client_that_leaves_with_calls_in_the_queue_leaves_no_doubt(house: DemoGateway) -> None:
     """What runs and moves nothing may end, and the gate hears how; what waits is never called."""
     with piped(house, "waits") as client:
         for number in range(1, 6):
@@ -346,7 +348,7 @@ def test_a_client_that_leaves_with_calls_in_the_queue_leaves_no_doubt(house: Hou
 # sessions
 
 
-def test_a_burst_of_sessions_ends_the_idlest_and_keeps_none_out(house: House) -> None:
+def test_a_burst_of_sessions_ends_the_idlest_and_keeps_none_out(house: DemoGateway) -> None:
     """Whoever has the token may begin as many as he likes: who asks goes on."""
     with sessions(house, 2) as (used, idle):
         url, token = used.place
@@ -407,7 +409,7 @@ def require_answered(name: str, answer: dict[str, Any], wanted: int | None) -> N
 
 
 @pytest.mark.smoke
-def test_whatever_a_client_sends_is_answered_over_a_pipe(house: House) -> None:
+def test_whatever_a_client_sends_is_answered_over_a_pipe(house: DemoGateway) -> None:
     with piped(house) as client:
         for name, (sent, wanted) in REQUESTS.items():
             require_answered(name, client.answer(sent), wanted)
@@ -418,7 +420,7 @@ def test_whatever_a_client_sends_is_answered_over_a_pipe(house: House) -> None:
     assert [call["tool"] for call in house.calls()] == ["scan"]
 
 
-def test_whatever_a_client_sends_is_answered_over_http(house: House) -> None:
+def test_whatever_a_client_sends_is_answered_over_http(house: DemoGateway) -> None:
     with sessions(house, 1) as (client,):
         for name, (sent, wanted) in REQUESTS.items():
             require_answered(name, client.answer(sent), wanted)
@@ -428,7 +430,9 @@ def test_whatever_a_client_sends_is_answered_over_http(house: House) -> None:
 
 
 @pytest.mark.parametrize("way", BOTH)
-def test_no_depth_is_deep_enough_to_leave_a_call_without_an_answer(house: House, way: str) -> None:
+def test_no_depth_is_deep_enough_to_leave_a_call_without_an_answer(
+    house: DemoGateway, way: str
+) -> None:
     """What is just read may be just too deep to be written again."""
     depths = range(900, 1_010)
     with piped(house) if way == "stdio" else sessions(house, 1) as made:

@@ -64,7 +64,7 @@ GATE_KEY = f"gate-{scenarios.RID}"
 BRAKE_MM_S2 = 1_000
 
 
-class House:
+class RobotSetup:
     """A run folder, a site whose robot can brake, and the processes that a test started."""
 
     def __init__(self, folder: Path) -> None:
@@ -150,9 +150,9 @@ class House:
 
 
 @contextmanager
-def new_house() -> Iterator[House]:
+def new_house() -> Iterator[RobotSetup]:
     with TemporaryDirectory(prefix="ag-") as folder:
-        it = House(Path(folder))
+        it = RobotSetup(Path(folder))
         try:
             yield it
         finally:
@@ -160,7 +160,7 @@ def new_house() -> Iterator[House]:
 
 
 @pytest.fixture
-def house() -> Iterator[House]:
+def house() -> Iterator[RobotSetup]:
     with new_house() as it:
         yield it
 
@@ -168,7 +168,7 @@ def house() -> Iterator[House]:
 class Still:
     """A robot that nothing in these tests may move: one process for all of them."""
 
-    def __init__(self, house: House) -> None:
+    def __init__(self, house: RobotSetup) -> None:
         self.house = house
         self.process = house.robot()
         self._first = 0
@@ -204,7 +204,7 @@ def still(standing: Still) -> Iterator[Still]:
 
 
 @pytest.fixture
-def gate(house: House) -> Iterator[ScriptedGate]:
+def gate(house: RobotSetup) -> Iterator[ScriptedGate]:
     with gate_at(house.run / "gate.sock", true_answer()) as it:
         yield it
 
@@ -238,7 +238,7 @@ def wait_for(done: Callable[[], Any]) -> Any:
     return found
 
 
-def drive(house: House, gate: ScriptedGate, sensors: Sensors) -> Peer:
+def drive(house: RobotSetup, gate: ScriptedGate, sensors: Sensors) -> Peer:
     """Set the robot in motion and return its connection."""
     peer = gate.accept()
     assert peer.stood() == 0
@@ -250,7 +250,7 @@ def drive(house: House, gate: ScriptedGate, sensors: Sensors) -> Peer:
 
 @pytest.mark.smoke
 def test_the_gate_of_this_robot_moves_it_to_where_it_was_sent(
-    house: House, gate: ScriptedGate
+    house: RobotSetup, gate: ScriptedGate
 ) -> None:
     robot = house.robot("--speed-up", "20")
     sensors = house.sensors()
@@ -265,7 +265,7 @@ def test_the_gate_of_this_robot_moves_it_to_where_it_was_sent(
     assert place(seen) == scenarios.site().regions["pharmacy"].approach
 
 
-def other_trust(house: House) -> Path:
+def other_trust(house: RobotSetup) -> Path:
     """Return a trust folder of somebody else, with a gate of the same name."""
     folder = house.folder / "theirs"
     now = datetime.fromtimestamp(scenarios.START_MS / 1000, UTC)
@@ -273,7 +273,7 @@ def other_trust(house: House) -> Path:
     return folder
 
 
-def replayed(house: House) -> Answer:
+def replayed(house: RobotSetup) -> Answer:
     """Return the answer of one who has seen the true gate prove itself to this robot before."""
     seen: list[str] = []
     with gate_at(house.run / "stop.sock", true_answer()) as lane:
@@ -290,11 +290,11 @@ def kept(answered: Any, seen: list[str]) -> Any:
 
 def answer_by(
     name: str, robot: RobotId = scenarios.RID, **changes: Any
-) -> Callable[[House], Answer]:
+) -> Callable[[RobotSetup], Answer]:
     return lambda _: proved(folder_signer(scenarios.trust_folder(), name), robot, **changes)
 
 
-IMPOSTORS: dict[str, Callable[[House], Answer]] = {
+IMPOSTORS: dict[str, Callable[[RobotSetup], Answer]] = {
     "a gate of another house": lambda house: proved(
         folder_signer(other_trust(house), GATE_KEY), scenarios.RID
     ),
@@ -380,7 +380,7 @@ def test_a_server_that_says_nothing_is_let_go(still: Still) -> None:
     assert any(line["event"] == "no proof in time" for line in still.said())
 
 
-def test_after_every_impostor_the_true_gate_is_obeyed_and_counts_no_stop(house: House) -> None:
+def test_after_every_impostor_the_true_gate_is_obeyed_and_counts_no_stop(house: RobotSetup) -> None:
     path = house.run / "gate.sock"
     with gate_at(path, IMPOSTORS["no proof"](house)) as false_gate:
         house.robot()
@@ -432,7 +432,7 @@ def report(figure: str, value_ms: float) -> None:
     sys.stdout.write(f"{figure}: {value_ms:.0f} ms\n")
 
 
-def test_a_gate_that_is_killed_in_mid_motion_leaves_a_robot_that_stands(house: House) -> None:
+def test_a_gate_that_is_killed_in_mid_motion_leaves_a_robot_that_stands(house: RobotSetup) -> None:
     house.robot()
     sensors = house.sensors()
     gate = house.driving_gate(renew_within_ms=2_000)
@@ -460,7 +460,7 @@ def test_a_gate_that_is_killed_in_mid_motion_leaves_a_robot_that_stands(house: H
 
 
 @pytest.mark.smoke
-def test_a_gate_that_falls_silent_leaves_a_robot_that_stands(house: House) -> None:
+def test_a_gate_that_falls_silent_leaves_a_robot_that_stands(house: RobotSetup) -> None:
     house.robot()
     sensors = house.sensors()
     gate = house.driving_gate(renew_within_ms=2_000)
@@ -476,7 +476,7 @@ def test_a_gate_that_falls_silent_leaves_a_robot_that_stands(house: House) -> No
         assert (place(seen), speed(seen)) == (here, 0)
 
 
-def test_the_stop_lane_stops_what_the_gate_renews(house: House, gate: ScriptedGate) -> None:
+def test_the_stop_lane_stops_what_the_gate_renews(house: RobotSetup, gate: ScriptedGate) -> None:
     with gate_at(house.run / "stop.sock", true_answer()) as lane:
         house.robot()
         sensors = house.sensors()
@@ -499,7 +499,9 @@ def test_the_stop_lane_stops_what_the_gate_renews(house: House, gate: ScriptedGa
         assert peer.begun().ticket == ticket(3)
 
 
-def test_a_controller_that_ignores_stops_keeps_moving(house: House, gate: ScriptedGate) -> None:
+def test_a_controller_that_ignores_stops_keeps_moving(
+    house: RobotSetup, gate: ScriptedGate
+) -> None:
     house.robot("--ignore-halt")
     sensors = house.sensors()
     peer = drive(house, gate, sensors)
@@ -511,7 +513,7 @@ def test_a_controller_that_ignores_stops_keeps_moving(house: House, gate: Script
     assert peer.frames == []
 
 
-def test_a_drifting_robot_goes_elsewhere(house: House, gate: ScriptedGate) -> None:
+def test_a_drifting_robot_goes_elsewhere(house: RobotSetup, gate: ScriptedGate) -> None:
     house.robot("--drift-to", "office-1", "--speed-up", "50", "--fault", "overspeed=1200")
     sensors = house.sensors()
     peer = gate.accept()
@@ -522,7 +524,7 @@ def test_a_drifting_robot_goes_elsewhere(house: House, gate: ScriptedGate) -> No
 
 
 def test_a_message_that_is_none_costs_the_gate_its_connection(
-    house: House, gate: ScriptedGate
+    house: RobotSetup, gate: ScriptedGate
 ) -> None:
     robot = house.robot()
     sensors = house.sensors()
@@ -536,7 +538,9 @@ def test_a_message_that_is_none_costs_the_gate_its_connection(
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_robot_that_is_told_to_end_ends_cleanly(house: House, number: signal.Signals) -> None:
+def test_a_robot_that_is_told_to_end_ends_cleanly(
+    house: RobotSetup, number: signal.Signals
+) -> None:
     robot = house.robot()
     house.sensors().next()
     robot.send_signal(number)
@@ -544,7 +548,9 @@ def test_a_robot_that_is_told_to_end_ends_cleanly(house: House, number: signal.S
     assert list(house.run.iterdir()) == []
 
 
-def test_a_second_process_of_the_robot_is_refused_and_a_dead_one_is_replaced(house: House) -> None:
+def test_a_second_process_of_the_robot_is_refused_and_a_dead_one_is_replaced(
+    house: RobotSetup,
+) -> None:
     first = house.robot()
     house.sensors().next()
     second = house.robot()
@@ -584,7 +590,7 @@ def answers(path: Path) -> bool:
     ],
 )
 def test_a_robot_that_cannot_be_says_why(
-    house: House, options: tuple[str, str], code: int, told: str
+    house: RobotSetup, options: tuple[str, str], code: int, told: str
 ) -> None:
     done = commands.ended(*house.robot_words(*options))
     error = json.loads(done.out)["error"]
@@ -612,7 +618,7 @@ def speed_age(snapshot: Snapshot) -> int:
 
 
 def test_the_estimator_attests_what_the_sensors_say_and_never_makes_it_younger(
-    house: House, gate: ScriptedGate
+    house: RobotSetup, gate: ScriptedGate
 ) -> None:
     estimator = house.estimator()
     peer = gate.accept()
@@ -643,7 +649,7 @@ def test_the_estimator_attests_what_the_sensors_say_and_never_makes_it_younger(
 
 
 def test_one_snapshot_is_on_its_way_and_a_refusal_is_logged(
-    house: House, gate: ScriptedGate
+    house: RobotSetup, gate: ScriptedGate
 ) -> None:
     house.robot()
     gate.accept()
@@ -660,7 +666,7 @@ def test_one_snapshot_is_on_its_way_and_a_refusal_is_logged(
 
 @pytest.mark.smoke
 @pytest.mark.parametrize("who", ["no proof", "another robot's gate", "an operator"])
-def test_an_impostor_gets_no_snapshot(house: House, who: str) -> None:
+def test_an_impostor_gets_no_snapshot(house: RobotSetup, who: str) -> None:
     with gate_at(house.run / "gate.sock", IMPOSTORS[who](house)) as false_gate:
         estimator = house.estimator()
         house.robot()
@@ -675,7 +681,9 @@ def test_an_impostor_gets_no_snapshot(house: House, who: str) -> None:
     assert any(line["event"] == "refused" for line in house.said(estimator))
 
 
-def test_a_gate_that_answers_no_snapshot_is_called_again(house: House, gate: ScriptedGate) -> None:
+def test_a_gate_that_answers_no_snapshot_is_called_again(
+    house: RobotSetup, gate: ScriptedGate
+) -> None:
     house.estimator()
     peer = gate.accept()
     house.robot()
@@ -697,7 +705,7 @@ def test_a_gate_that_answers_no_snapshot_is_called_again(house: House, gate: Scr
     ],
 )
 def test_an_estimator_that_cannot_be_says_why(
-    house: House, options: tuple[str, str], code: int, told: str
+    house: RobotSetup, options: tuple[str, str], code: int, told: str
 ) -> None:
     done = commands.ended(*house.estimator_words(*options))
     error = json.loads(done.out)["error"]

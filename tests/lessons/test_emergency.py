@@ -12,14 +12,14 @@ from authguard_r.wire.messages import ClientRole
 from fixtures import emergency_policies, scenarios
 from fixtures.emergency_files import forge, record
 from unit.server.demo_site import GO
+from unit.server.test_emergencies import EmergencyGate, planner, worlds_mission
 from unit.server.test_fences import deaf
-from unit.server.test_rescues import Ward, planner, worlds_mission
 
 TWICE = {**emergency_policies.GO_SAFE, "per_hour": 2}
 
 
 def test_the_speed_from_before_the_stop_refused_the_help_that_the_stop_was_for() -> None:
-    with Ward(TWICE, mission=worlds_mission(), speed_up=1) as house:
+    with EmergencyGate(TWICE, mission=worlds_mission(), speed_up=1) as house:
         house.activate()
         house.begin(planner(house), GO)
         house.advance(1_000)
@@ -36,7 +36,7 @@ def test_tries_that_did_not_start_used_up_what_was_left_for_a_person() -> None:
     def refuse(*_: object) -> None:
         raise ControllerError("it does not begin")
 
-    with Ward(TWICE, at="station-103") as house:
+    with EmergencyGate(TWICE, at="station-103") as house:
         assert house.remote is not None
         house.admit = refuse
         guest, person = planner(house), house.enter(ClientRole.OPERATOR, "nurse")
@@ -53,17 +53,17 @@ def test_entries_of_a_journal_without_a_key_entered_the_log_as_an_operators_emer
     tmp_path: Path,
 ) -> None:
     path = tmp_path / "journal"
-    with Ward(journal=path):
+    with EmergencyGate(journal=path):
         pass
     forge(path, *(record(n, caller="operator", by="u1000.nurse") for n in range(1, 5)))
-    with Ward(journal=path) as house:
+    with EmergencyGate(journal=path) as house:
         assert (house.told, house.alerts) == ([], [{"what": STRANGE, "entries": 4}])
 
 
 def test_one_entry_of_another_robot_kept_the_gate_from_starting(tmp_path: Path) -> None:
     path = tmp_path / "journal"
-    with Ward(journal=path):
+    with EmergencyGate(journal=path):
         pass
     forge(path, record(1, robot=scenarios.OTHER))
-    with Ward(journal=path) as house:
+    with EmergencyGate(journal=path) as house:
         assert house.call(planner(house), "go-safe")["execution"]["outcome"] == "succeeded"

@@ -24,8 +24,8 @@ from authguard_r.normalize.expected import TEXT, AnswerMatch
 from authguard_r.store.sqlite import read_rows
 from authguard_r.wire.messages import ClientRole, OrderKind
 from fixtures import scenarios
-from unit.server.demo_site import GO, House, Refused
-from unit.server.test_desk import order
+from unit.server.demo_site import GO, DemoGate, Refused
+from unit.server.test_dispatcher import order
 from unit.test_refusals import Full, entry_of, full
 from unit.test_untrusted_stores import HOSTILE, store
 from unit.tools.test_body import GO as DRIVE
@@ -39,7 +39,7 @@ __all__ = ["full"]  # a fixture
 
 
 def test_l23_nothing_is_decided_on_state_from_before_the_last_motion_ended() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         measures = house.robot.fence
@@ -74,7 +74,7 @@ def test_l23_a_number_from_before_a_restart_is_too_small_after_it(tmp_path: Path
 
 
 def test_l24_an_older_order_undoes_nothing_that_was_signed_after_it() -> None:
-    with House() as house:
+    with DemoGate() as house:
         house.activate()
         before = house.order(Verb.RESUME)
         house.advance(50)

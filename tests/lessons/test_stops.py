@@ -23,7 +23,7 @@ from authguard_r.server.robot_lock import hold_robot
 from fixtures import estop_fixtures, scenarios, templates
 from fixtures.templates import instance, token
 from integration.stop_faults import leaves_a_stop
-from unit.server.test_lock import fill, names_of
+from unit.server.test_robot_lock import fill, names_of
 from unit.sim.desks import Bench, drive
 
 

@@ -36,7 +36,7 @@ from authguard_r.wire.messages import ClientRole, Kind, Order, OrderKind
 from fixtures import scenarios
 from fixtures.revocation_lists import next_lists
 from missionpair.bench import make_bench
-from unit.server.demo_site import GO, SCAN, House, Refused, reasons
+from unit.server.demo_site import GO, SCAN, DemoGate, Refused, reasons
 
 DAY_MS = 86_400_000
 BEGIN = datetime.fromtimestamp(scenarios.START_MS / 1000, UTC)
@@ -51,8 +51,8 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def house(folder: Path) -> Iterator[House]:
-    with House(trust=folder / "trust") as made:
+def house(folder: Path) -> Iterator[DemoGate]:
+    with DemoGate(trust=folder / "trust") as made:
         made.activate()
         yield made
 
@@ -69,7 +69,7 @@ def fresh(folder: Path, name: str = "people", *, days: int = 30) -> bytes:
     return next_lists(folder / "auth", {name: set()}, now=BEGIN, days=days)[name].signed
 
 
-def bring(house: House, data: bytes) -> dict[str, Any]:
+def bring(house: DemoGate, data: bytes) -> dict[str, Any]:
     operator = house.enter(ClientRole.OPERATOR)
     try:
         told: dict[str, Any] = operator.ask(
@@ -86,7 +86,7 @@ def codes(answered: dict[str, Any]) -> list[str]:
     return list(step.get("reasons") or [step["refusal"]["reason"]] if "refusal" in step else [])
 
 
-def refusals(house: House) -> list[Any]:
+def refusals(house: DemoGate) -> list[Any]:
     house.advance(1_000)
     return [code for record in house.log("refusal") for code in record.open["reasons"]]
 
@@ -95,7 +95,7 @@ def refusals(house: House) -> list[Any]:
 
 
 def test_the_first_decision_after_a_list_is_refused_and_the_one_before_was_not(
-    house: House, folder: Path
+    house: DemoGate, folder: Path
 ) -> None:
     planner = house.enter(ClientRole.PLANNER)
     (step,) = house.propose(planner, SCAN)["steps"]
@@ -109,7 +109,7 @@ def test_the_first_decision_after_a_list_is_refused_and_the_one_before_was_not(
     assert refusals(house) == ["CERTIFICATE_REVOKED"]
 
 
-def test_a_motion_whose_issuer_is_revoked_is_stopped(house: House, folder: Path) -> None:
+def test_a_motion_whose_issuer_is_revoked_is_stopped(house: DemoGate, folder: Path) -> None:
     planner = house.enter(ClientRole.PLANNER)
     number = house.begin(planner, GO)
     house.advance(500)
@@ -121,7 +121,7 @@ def test_a_motion_whose_issuer_is_revoked_is_stopped(house: House, folder: Path)
     assert house.place == rested
 
 
-def test_a_motion_goes_on_under_a_list_that_names_others(house: House, folder: Path) -> None:
+def test_a_motion_goes_on_under_a_list_that_names_others(house: DemoGate, folder: Path) -> None:
     planner = house.enter(ClientRole.PLANNER)
     number = house.begin(planner, GO)
     house.advance(500)
@@ -130,7 +130,7 @@ def test_a_motion_goes_on_under_a_list_that_names_others(house: House, folder: P
     assert step["execution"]["outcome"] == "succeeded"
 
 
-def test_what_a_revoked_estimator_said_is_believed_no_more(house: House, folder: Path) -> None:
+def test_what_a_revoked_estimator_said_is_believed_no_more(house: DemoGate, folder: Path) -> None:
     intake = house.gate.enforcer.intake
     assert intake.state is not None
     bring(house, dead(folder, f"estimator-{scenarios.RID}"))
@@ -144,7 +144,7 @@ def test_what_a_revoked_estimator_said_is_believed_no_more(house: House, folder:
     assert step["released"] is False
 
 
-def test_what_another_estimator_said_stays(house: House, folder: Path) -> None:
+def test_what_another_estimator_said_stays(house: DemoGate, folder: Path) -> None:
     before = house.gate.enforcer.intake.newest
     assert before is not None
     bring(house, fresh(folder, "machines"))
@@ -152,12 +152,12 @@ def test_what_another_estimator_said_stays(house: House, folder: Path) -> None:
 
 
 def test_a_list_may_come_before_any_state(folder: Path) -> None:
-    with House(trust=folder / "trust", robot=False, estimator=False) as house:
+    with DemoGate(trust=folder / "trust", robot=False, estimator=False) as house:
         assert bring(house, fresh(folder))["number"] == 2
         assert house.gate.enforcer.intake.state is None
 
 
-def test_a_gate_that_is_revoked_releases_nothing_more(house: House, folder: Path) -> None:
+def test_a_gate_that_is_revoked_releases_nothing_more(house: DemoGate, folder: Path) -> None:
     planner = house.enter(ClientRole.PLANNER)
     number = house.begin(planner, GO)
     house.advance(500)
@@ -227,7 +227,7 @@ def test_an_approver_who_is_revoked_after_answering_does_not_count(tmp_path: Pat
     ],
 )
 def test_no_other_list_takes_the_place_of_the_one_in_force(
-    house: House, folder: Path, data: str, code: str
+    house: DemoGate, folder: Path, data: str, code: str
 ) -> None:
     first = (folder / "trust/revocations/people.json").read_bytes()
     second = dead(folder, "supervisor-1")
@@ -265,7 +265,7 @@ def test_no_other_list_takes_the_place_of_the_one_in_force(
 
 
 def test_the_very_list_that_is_in_force_is_there_already_and_recorded_once(
-    house: House, folder: Path
+    house: DemoGate, folder: Path
 ) -> None:
     data = dead(folder, "supervisor-1")
     first = bring(house, data)
@@ -276,7 +276,7 @@ def test_the_very_list_that_is_in_force_is_there_already_and_recorded_once(
 
 
 def test_a_list_that_could_not_be_written_is_not_in_force(
-    house: House, folder: Path, monkeypatch: pytest.MonkeyPatch
+    house: DemoGate, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     data = dead(folder, "operator-1")
     run, calls = Ledger.run, iter([False, True])
@@ -302,7 +302,7 @@ def test_a_list_that_could_not_be_written_is_not_in_force(
 
 
 def test_of_two_lists_at_once_the_second_is_looked_at_anew(
-    house: House, folder: Path, monkeypatch: pytest.MonkeyPatch
+    house: DemoGate, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Another thread brings number 3 while number 2 waits for its turn."""
     second, third = fresh(folder), fresh(folder)

@@ -30,8 +30,8 @@ from authguard_r.keys.signer import folder_signer
 from authguard_r.store.memory import MemoryStore
 from authguard_r.wire.messages import ClientRole, Kind, Order, OrderKind
 from fixtures import scenarios, templates
-from unit.server.demo_site import GO, SCAN, HandClock, House, Refused
-from unit.server.test_rescues import Disk, _Kept
+from unit.server.demo_site import GO, SCAN, DemoGate, HandClock, Refused
+from unit.server.test_emergencies import Disk, _Kept
 
 BEGIN = datetime.fromtimestamp(scenarios.START_MS / 1000, UTC)
 MINUTE_MS = 60_000
@@ -55,7 +55,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-class Ward:
+class EmergencyGate:
     """A gate and everybody who may sign for it.
 
     Args:
@@ -67,7 +67,7 @@ class Ward:
     def __init__(self, folder: Path, *, issuer: str = "operator-1", **more: Any) -> None:
         self.folder = folder
         self.first = mission("first", issuer)
-        self.house = House(trust=folder / "trust", mission=self.first, **more)
+        self.house = DemoGate(trust=folder / "trust", mission=self.first, **more)
 
     def __enter__(self) -> Self:
         self.house.__enter__()
@@ -136,7 +136,7 @@ def dead(folder: Path, name: str) -> bytes:
 def test_an_officer_narrows_a_mission_whose_signer_is_on_a_list(
     folder: Path, verb: Verb, after: str
 ) -> None:
-    with Ward(folder) as ward:
+    with EmergencyGate(folder) as ward:
         ward.house.activate()
         ward.list()
         ward.management.command(ward.order(verb, "safety-officer-1"))
@@ -145,7 +145,7 @@ def test_an_officer_narrows_a_mission_whose_signer_is_on_a_list(
 
 
 def test_the_next_mission_takes_the_place_of_one_whose_signer_is_on_a_list(folder: Path) -> None:
-    with Ward(folder) as ward:
+    with EmergencyGate(folder) as ward:
         ward.house.activate()
         ward.list()
         ward.begin("second", "operator-2")
@@ -157,7 +157,7 @@ def test_the_next_mission_takes_the_place_of_one_whose_signer_is_on_a_list(folde
 
 
 def test_a_mission_that_ended_in_time_lapses_whatever_became_of_its_signer(folder: Path) -> None:
-    with Ward(folder, estimator=False, robot=False) as ward:
+    with EmergencyGate(folder, estimator=False, robot=False) as ward:
         ward.house.activate()
         ward.list()
         ward.house.clock.ms += 26 * MINUTE_MS
@@ -168,7 +168,7 @@ def test_a_mission_that_ended_in_time_lapses_whatever_became_of_its_signer(folde
 
 
 def test_a_mission_whose_signers_certificate_ended_gives_way_too(folder: Path) -> None:
-    with Ward(folder, issuer="operator-2", estimator=False, robot=False) as ward:
+    with EmergencyGate(folder, issuer="operator-2", estimator=False, robot=False) as ward:
         ward.house.activate()
         ward.house.clock.ms += ENDS_MS + 1_000
         ward.begin("second", "operator-1")
@@ -177,7 +177,7 @@ def test_a_mission_whose_signers_certificate_ended_gives_way_too(folder: Path) -
 
 
 def test_an_issued_mission_whose_signers_certificate_ended_expires(folder: Path) -> None:
-    with Ward(folder, estimator=False, robot=False) as ward:
+    with EmergencyGate(folder, estimator=False, robot=False) as ward:
         ward.house.activate()
         second = ward.signed(mission("second", "operator-2"), "operator-2")
         assert ward.management.issue(second).status == "issued"
@@ -188,14 +188,14 @@ def test_an_issued_mission_whose_signers_certificate_ended_expires(folder: Path)
 
 
 def test_a_mission_whose_signature_holds_gives_way_to_nobody(folder: Path) -> None:
-    with Ward(folder) as ward:
+    with EmergencyGate(folder) as ward:
         ward.house.activate()
         assert ward.refused(lambda: ward.begin("second", "operator-2")) == "TRANSITION_REFUSED"
         assert ward.lapses() == []
 
 
 def test_an_activation_that_is_refused_ends_nothing(folder: Path) -> None:
-    with Ward(folder) as ward:
+    with EmergencyGate(folder) as ward:
         ward.house.activate()
         ward.list()
         second = ward.signed(mission("second", "operator-2"), "operator-2")
@@ -212,7 +212,7 @@ def test_an_activation_that_is_refused_ends_nothing(folder: Path) -> None:
 
 def test_nothing_lets_a_mission_go_on_by_a_signature_that_does_not_hold(folder: Path) -> None:
     """Its issuer has a certificate that holds again; what the lost one signed stays dead."""
-    with Ward(folder, issuer="operator-2") as ward:
+    with EmergencyGate(folder, issuer="operator-2") as ward:
         ward.house.activate()
         ward.list("operator-2")
         again: Any = {"by": "operator-2", "of": "new"}
@@ -249,7 +249,7 @@ def test_nothing_lets_a_mission_go_on_by_a_signature_that_does_not_hold(folder: 
 
 
 def test_somebody_elses_order_is_no_better_for_a_lost_signature(folder: Path) -> None:
-    with Ward(folder) as ward:
+    with EmergencyGate(folder) as ward:
         ward.house.activate()
         ward.list()
         for by in ("operator-2", "supervisor-1"):
@@ -261,13 +261,13 @@ def test_somebody_elses_order_is_no_better_for_a_lost_signature(folder: Path) ->
 
 def test_a_gate_that_was_killed_with_a_release_open_serves_on_under_the_list(folder: Path) -> None:
     store, clock = _Kept(MemoryStore()), HandClock()
-    with Ward(folder, store=store, clock=clock, speed_up=1) as ward:
+    with EmergencyGate(folder, store=store, clock=clock, speed_up=1) as ward:
         ward.house.activate()
         ward.house.begin(ward.house.enter(ClientRole.PLANNER), GO)
         ward.house.advance(500)
         ward.house.crashes = True
     (folder / "trust/revocations/people.json").write_bytes(dead(folder, "operator-1"))
-    with Ward(folder, store=store, clock=clock) as ward:
+    with EmergencyGate(folder, store=store, clock=clock) as ward:
         planner = ward.house.enter(ClientRole.PLANNER)
         (step,) = ward.house.propose(planner, SCAN)["steps"]
         assert step["refusal"]["reason"] == "CERTIFICATE_REVOKED"
@@ -284,12 +284,12 @@ def test_a_gate_that_was_killed_with_a_release_open_serves_on_under_the_list(fol
 def test_what_nobody_knows_is_resolved_under_a_lost_signature(folder: Path) -> None:
     """By the issuer, whose later certificate holds."""
     store, clock = _Kept(MemoryStore()), HandClock()
-    with Ward(folder, issuer="operator-2", store=store, clock=clock, speed_up=1) as ward:
+    with EmergencyGate(folder, issuer="operator-2", store=store, clock=clock, speed_up=1) as ward:
         ward.house.activate()
         ward.house.begin(ward.house.enter(ClientRole.PLANNER), GO)
         ward.house.advance(500)
         ward.house.crashes = True
-    with Ward(folder, issuer="operator-2", store=store, clock=clock) as ward:
+    with EmergencyGate(folder, issuer="operator-2", store=store, clock=clock) as ward:
         ward.list("operator-2")
         (ticket,) = ward.management.recover(unclean=True)
         more: Any = {"ticket": ticket, "outcome": Outcome.FAILED}
@@ -315,7 +315,7 @@ def test_a_mission_made_of_a_template_gives_way_when_either_signer_is_on_a_list(
 
 
 def test_a_planners_stops_are_counted_under_a_lost_signature(folder: Path) -> None:
-    with Ward(folder) as ward:
+    with EmergencyGate(folder) as ward:
         ward.house.activate()
         ward.list()
         most = ward.first.budgets.planner_stops
@@ -327,7 +327,7 @@ def test_a_planners_stops_are_counted_under_a_lost_signature(folder: Path) -> No
 
 
 def test_status_and_metrics_show_the_mission_and_why_it_authorizes_nothing(folder: Path) -> None:
-    with Ward(folder) as ward:
+    with EmergencyGate(folder) as ward:
         auditor = ward.house.enter(ClientRole.AUDITOR)
         ward.house.activate()
         assert auditor.ask(Kind.STATUS)["mission"]["void"] is None
@@ -340,7 +340,7 @@ def test_status_and_metrics_show_the_mission_and_why_it_authorizes_nothing(folde
 
 
 def test_silence_is_told_of_under_a_lost_signature(folder: Path) -> None:
-    with Ward(folder, planner_silence_ms=1_000) as ward:
+    with EmergencyGate(folder, planner_silence_ms=1_000) as ward:
         ward.house.activate()
         ward.list()
         ward.house.service.queries.mission.changed()
@@ -352,7 +352,7 @@ def test_silence_is_told_of_under_a_lost_signature(folder: Path) -> None:
 
 def test_silence_is_told_of_without_a_disk(folder: Path) -> None:
     disk = Disk()
-    with Ward(folder, planner_silence_ms=1_000, store=disk) as ward:
+    with EmergencyGate(folder, planner_silence_ms=1_000, store=disk) as ward:
         ward.house.activate()
         ward.house.service._listen()
         disk.dead = True
@@ -368,7 +368,7 @@ def test_silence_is_told_of_without_a_disk(folder: Path) -> None:
 
 
 def test_the_gate_answers_an_order_under_a_lost_signature_as_it_does_any(folder: Path) -> None:
-    with Ward(folder) as ward:
+    with EmergencyGate(folder) as ward:
         operator = ward.house.enter(ClientRole.OPERATOR)
         ward.house.activate()
         ward.list()
@@ -381,7 +381,7 @@ def test_the_gate_answers_an_order_under_a_lost_signature_as_it_does_any(folder:
 
 
 def test_a_mission_whose_closing_is_over_lapses_at_the_next_activation(folder: Path) -> None:
-    with Ward(folder, estimator=False, robot=False) as ward:
+    with EmergencyGate(folder, estimator=False, robot=False) as ward:
         ward.house.activate()
         plain = {**msgspec.to_builtins(ward.management.standing("first")), "status": "closing"}
         closing = msgspec.convert({**plain, "closes_ms": scenarios.START_MS + 1_000}, Standing)
@@ -392,7 +392,7 @@ def test_a_mission_whose_closing_is_over_lapses_at_the_next_activation(folder: P
 
 
 def test_another_missions_token_under_a_digest_decides_and_ends_nothing(folder: Path) -> None:
-    with Ward(folder) as ward:
+    with EmergencyGate(folder) as ward:
         ward.house.activate()
         held = ward.management.standing("first").digest
         other = ward.signed(mission("second", "operator-2"), "operator-2")

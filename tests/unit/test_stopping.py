@@ -14,7 +14,7 @@ from authguard_r.core.errors import StoreError
 from authguard_r.core.standing import Standing
 from authguard_r.wire.messages import ClientRole
 from fixtures import scenarios
-from unit.server.demo_site import House
+from unit.server.demo_site import DemoGate
 
 
 def ready(**more: Any) -> Any:
@@ -33,7 +33,7 @@ def budget() -> int:
 
 
 def test_a_planners_stops_over_its_budget_are_counted_not_recorded_one_by_one() -> None:
-    with House() as house:
+    with DemoGate() as house:
         house.activate()
         for number in range(budget() + 1 + 5_000):
             house.gate.enforcer.stopped(by="u5.planner", is_planner=True)
@@ -50,7 +50,7 @@ def test_a_planners_stops_over_its_budget_are_counted_not_recorded_one_by_one() 
 
 
 def test_another_planners_stops_are_not_swallowed_by_its_count() -> None:
-    with House() as house:
+    with DemoGate() as house:
         house.activate()
         for _ in range(budget() + 5):
             house.stop(ClientRole.PLANNER, house.service.queries.stops + 1)

@@ -257,7 +257,7 @@ def common_name(subject: x509.Name) -> str:
 
 
 @dataclass(frozen=True)
-class House:
+class TrustSetup:
     """One trust set-up in memory: root, an authority for people, and current lists."""
 
     root: Held
@@ -281,17 +281,17 @@ class House:
 
 
 @cache
-def house() -> House:
+def house() -> TrustSetup:
     """The one good set-up; tests make variations of it."""
     top = root()
-    return House(top, authority(top))
+    return TrustSetup(top, authority(top))
 
 
 @cache
-def house_of(algorithm: Algorithm) -> House:
+def house_of(algorithm: Algorithm) -> TrustSetup:
     """A good set-up of one algorithm all the way down; its root has a name of its own."""
     top = root(f"Root {algorithm}", own=key_of(algorithm, "root"))
-    return House(top, authority(top, own=key_of(algorithm, "people")))
+    return TrustSetup(top, authority(top, own=key_of(algorithm, "people")))
 
 
 def leaf_of(algorithm: Algorithm, principal: str = "operator-1", **knobs: Any) -> Held:

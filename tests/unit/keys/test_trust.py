@@ -24,7 +24,7 @@ from authguard_r.keys.revocation import RevocationList
 from authguard_r.keys.trust import Trust, read_file, read_trust
 from fixtures import scenarios
 from unit.keys import chains
-from unit.keys.chains import DAY_MS, NOW, TODAY, House, eku, house, san
+from unit.keys.chains import DAY_MS, NOW, TODAY, TrustSetup, eku, house, san
 
 GATE_NAMES = (
     chains.PRINCIPAL + "gate-1",
@@ -271,11 +271,11 @@ def test_a_chain_that_does_not_hold_is_named_before_its_signature_is_looked_at()
 # -- gates -----------------------------------------------------------------------------------------
 
 
-def machines() -> tuple[House, Trust]:
+def machines() -> tuple[TrustSetup, Trust]:
     issuer = chains.authority(
         house().root, (Role.GATE, Role.ESTIMATOR), subject="Machines authority"
     )
-    site = House(house().root, issuer)
+    site = TrustSetup(house().root, issuer)
     return site, site.trust()
 
 

@@ -34,7 +34,7 @@ from fixtures import estop_fixtures, scenarios
 from missionpair.bench import Bench, BenchScene, approve, make_bench
 from missionpair.bench import propose as begin
 from missionpair.suite import restricted
-from unit.server.demo_site import Guest, House
+from unit.server.demo_site import DemoGate, Guest
 from unit.server.test_process import activate, client, parts, robot, served
 
 THROUGH = ("public-corridor", "plant-room", "public-corridor")
@@ -324,7 +324,7 @@ def test_an_auditor_reads_both_routes_and_which_record_the_repair_repairs(run: A
 # a gate's process and its clients
 
 
-def asks(house: House, client: Guest, *, repair: bool, key: str = "walk") -> dict[str, Any]:
+def asks(house: DemoGate, client: Guest, *, repair: bool, key: str = "walk") -> dict[str, Any]:
     asked = Propose(key=key, plan=PLAN, repair=repair)
     number = client.say(Kind.PROPOSE, asked)
     house.pump()
@@ -333,7 +333,7 @@ def asks(house: House, client: Guest, *, repair: bool, key: str = "walk") -> dic
 
 def test_a_client_that_does_not_ask_gets_no_repair_decided() -> None:
     assert Propose(key="walk", plan=PLAN).repair is False
-    with House(mission=mission()) as house:
+    with DemoGate(mission=mission()) as house:
         client = house.enter(ClientRole.PLANNER)
         house.activate()
         (step,) = asks(house, client, repair=False)["steps"]
@@ -344,7 +344,7 @@ def test_a_client_that_does_not_ask_gets_no_repair_decided() -> None:
 def test_a_repair_over_the_socket_is_told_with_the_number_of_what_it_repairs(
     tmp_path: Path,
 ) -> None:
-    with House(mission=mission(), store=open_store(tmp_path / "robot.db")) as house:
+    with DemoGate(mission=mission(), store=open_store(tmp_path / "robot.db")) as house:
         client = house.enter(ClientRole.PLANNER)
         house.activate()
         first = asks(house, client, repair=True)
@@ -353,7 +353,7 @@ def test_a_repair_over_the_socket_is_told_with_the_number_of_what_it_repairs(
         assert released.open["repairs"] == step["repairs"] == refused.link.seq
         assert (step["seq"], step["executed"]) == (released.link.seq, True)
         clock = house.clock
-    with House(
+    with DemoGate(
         mission=mission(), store=open_store(tmp_path / "robot.db"), clock=clock
     ) as house:  # from the log alone
         again = asks(house, house.enter(ClientRole.PLANNER), repair=True)
@@ -388,7 +388,7 @@ def test_both_clients_say_whether_they_want_a_repair() -> None:
 
 
 def test_a_flood_of_repairs_that_are_refused_costs_no_commit_each() -> None:
-    with House(mission=mission(**SLOWEST), fold_ms=60_000) as house:
+    with DemoGate(mission=mission(**SLOWEST), fold_ms=60_000) as house:
         house.robot.state = msgspec.structs.replace(house.robot.state, human_distance_mm=500)
         client = house.enter(ClientRole.PLANNER)
         house.activate()

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A whole gate in this process: its own service and sessions, a real controller's desk, one clock.
 
-    with House() as house:
+    with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         answer = house.propose(planner, SCAN)
@@ -122,7 +122,7 @@ class Refused(Exception):  # noqa: N818 - a word of the protocol
 class Guest:
     """One client's end of a real connection."""
 
-    def __init__(self, house: House, role: ClientRole, line: socket.socket) -> None:
+    def __init__(self, house: DemoGate, role: ClientRole, line: socket.socket) -> None:
         self.role = role
         self.line = line
         self.got: list[Frame] = []
@@ -182,7 +182,7 @@ class Guest:
         self._house.settle()
 
 
-class House:
+class DemoGate:
     """A gate, its robot and whoever comes in.
 
     Args:
@@ -657,9 +657,9 @@ def driving_mission(**grant: Any) -> Mission:
     return scenarios.compiled(plain, at=driving_site())
 
 
-def driving(**more: Any) -> House:
+def driving(**more: Any) -> DemoGate:
     """Return a house whose robot can be driven, in its own time."""
-    return House(
+    return DemoGate(
         **{
             "site": driving_site(),
             "trust": driving_trust(),
@@ -675,7 +675,7 @@ def drive(ahead: int = 100, aside: int = 0, turn: int = 0, ms: int = 30_000) -> 
     return f"drive(ahead={ahead}, aside={aside}, turn={turn}, ms={ms})".encode()
 
 
-def ticket_of(house: House) -> Digest:
+def ticket_of(house: DemoGate) -> Digest:
     """Return the one release that is open."""
     (release,) = house.standing.open
     return Digest(release.ticket)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Each alert is absent without its cause, and `STATUS` says `over` once the cause has ended.
 
-Here is a whole gate. The alerts of its parts are in `test_liveness.py`, `test_vigil.py`,
-`test_retirement.py`, `tests/unit/test_rotation.py` and `tests/unit/test_witnesses.py`.
+Here is a whole gate. The alerts of its parts are in `test_liveness.py`, `test_log_maintenance.py`,
+`test_retention.py`, `tests/unit/test_rotation.py` and `tests/unit/test_witnesses.py`.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from authguard_r.sim.robot import Faults
 from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import ClientRole, Kind, Mode, Order, OrderKind
 from fixtures import scenarios
-from unit.server.demo_site import FORBIDDEN, GO, SCAN, Guest, House
-from unit.server.test_rescues import Ward, worlds_mission
+from unit.server.demo_site import FORBIDDEN, GO, SCAN, DemoGate, Guest
+from unit.server.test_emergencies import EmergencyGate, worlds_mission
 
 ROOT = Path(__file__).resolve().parents[3]
 
 
-def shown(house: House, what: str | None = None) -> list[bool]:
+def shown(house: DemoGate, what: str | None = None) -> list[bool]:
     """Return of each such alert in `STATUS` whether it is over."""
     person = house.enter(ClientRole.AUDITOR)
     alerts = person.ask(Kind.STATUS)["alerts"]
@@ -37,12 +37,12 @@ def shown(house: House, what: str | None = None) -> list[bool]:
     return [told.get("over", False) for told in alerts if what in {None, told["what"]}]
 
 
-def listen(house: House) -> None:
+def listen(house: DemoGate) -> None:
     """Let the gate do what it does once a second."""
     house.do(house.service._listen)
 
 
-def command(house: House, verb: Verb) -> None:
+def command(house: DemoGate, verb: Verb) -> None:
     person = house.enter(ClientRole.OPERATOR)
     person.ask(Kind.ORDER, Order(act=OrderKind.COMMAND, token=house.order(verb)))
     person.leave()
@@ -54,22 +54,22 @@ def other(mission: Mission) -> Mission:
     return msgspec.structs.replace(mission, mid="another-mission")
 
 
-def planner(house: House) -> Guest:
+def planner(house: DemoGate) -> Guest:
     return house.enter(ClientRole.PLANNER)
 
 
-def stops(house: House, count: int) -> None:
+def stops(house: DemoGate, count: int) -> None:
     """Let a planner stop the robot so many times more."""
     for _ in range(count):
         house.stop(ClientRole.PLANNER, house.service.queries.stops + 1)
 
 
-def budget(house: House) -> int:
+def budget(house: DemoGate) -> int:
     return house.mission.budgets.planner_stops
 
 
 def test_a_day_without_any_cause_raises_no_alert() -> None:
-    with Ward(mission=worlds_mission()) as house:
+    with EmergencyGate(mission=worlds_mission()) as house:
         client = planner(house)
         listen(house)
         house.do(lambda: house.service.stops.lane_silent(is_silent=False))
@@ -94,7 +94,7 @@ ENDS = (Verb.SUSPEND, Verb.COMPLETE, Verb.REVOKE)
 
 @pytest.mark.parametrize("verb", ENDS)
 def test_no_progress_is_over_once_the_mission_is_suspended_or_ends(verb: Verb) -> None:
-    with House(refusals=3) as house:
+    with DemoGate(refusals=3) as house:
         client = planner(house)
         house.activate()
         for _ in range(2):
@@ -112,7 +112,7 @@ def test_no_progress_is_over_once_the_mission_is_suspended_or_ends(verb: Verb) -
 
 
 def test_a_row_begins_anew_after_a_resume() -> None:
-    with House(refusals=3) as house:
+    with DemoGate(refusals=3) as house:
         client = planner(house)
         house.activate()
         for _ in range(4):
@@ -133,7 +133,7 @@ def test_a_row_begins_anew_after_a_resume() -> None:
 
 @pytest.mark.parametrize("verb", ENDS)
 def test_nobody_is_asked_any_more_once_the_mission_is_suspended_or_ends(verb: Verb) -> None:
-    with House(refusals=0, mission=scenarios.mission(on_refusal="ask")) as house:
+    with DemoGate(refusals=0, mission=scenarios.mission(on_refusal="ask")) as house:
         client = planner(house)
         house.activate()
         house.propose(client, SCAN)
@@ -149,7 +149,7 @@ def test_nobody_is_asked_any_more_once_the_mission_is_suspended_or_ends(verb: Ve
 
 
 def test_an_operators_own_stop_asks_nobody() -> None:
-    with House(refusals=0, mission=scenarios.mission(on_refusal="ask")) as house:
+    with DemoGate(refusals=0, mission=scenarios.mission(on_refusal="ask")) as house:
         client = planner(house)
         house.activate()
         number = house.begin(client, GO)
@@ -162,7 +162,7 @@ def test_an_operators_own_stop_asks_nobody() -> None:
 
 def test_another_mission_asks_anew_at_once() -> None:
     mission = scenarios.mission(on_refusal="ask")
-    with House(refusals=0, mission=mission) as house:
+    with DemoGate(refusals=0, mission=mission) as house:
         client = planner(house)
         house.activate()
         house.propose(client, FORBIDDEN)
@@ -175,7 +175,7 @@ def test_another_mission_asks_anew_at_once() -> None:
 
 
 def test_planner_stops_are_over_when_their_mission_ends() -> None:
-    with House() as house:
+    with DemoGate() as house:
         house.activate()
         stops(house, budget(house))
         assert shown(house) == []
@@ -196,7 +196,7 @@ def test_planner_stops_are_over_when_their_mission_ends() -> None:
 
 
 def test_planner_stops_in_shadow_are_over_too() -> None:
-    with House(mode=Mode.SHADOW) as house:
+    with DemoGate(mode=Mode.SHADOW) as house:
         house.activate()
         stops(house, budget(house) + 1)
         assert shown(house, "planner stops") == [False]
@@ -205,7 +205,7 @@ def test_planner_stops_in_shadow_are_over_too() -> None:
 
 
 def test_a_false_emergency_is_over_when_the_mission_ends_or_the_next_is_activated() -> None:
-    with Ward(mission=worlds_mission()) as house:
+    with EmergencyGate(mission=worlds_mission()) as house:
         client = planner(house)
         assert house.call(client, "go-safe")["outcome"] == "accept"
         assert shown(house, "false emergency") == []
@@ -228,7 +228,7 @@ def test_a_false_emergency_is_over_when_the_mission_ends_or_the_next_is_activate
 
 @pytest.mark.parametrize("faults", [Faults(), Faults(controller_refuses=True)])
 def test_an_emergency_is_over_when_its_end_is_recorded(faults: Faults) -> None:
-    with Ward(at="station-103", speed_up=1, faults=faults) as house:
+    with EmergencyGate(at="station-103", speed_up=1, faults=faults) as house:
         client = planner(house)
         house.call(client, "fly")
         assert shown(house, "emergency") == []
@@ -242,7 +242,7 @@ def test_an_emergency_is_over_when_its_end_is_recorded(faults: Faults) -> None:
 
 
 def test_a_stop_that_nobody_confirmed_is_over_once_a_later_one_is_confirmed() -> None:
-    with House() as house:
+    with DemoGate() as house:
         house.stop(ClientRole.AUDITOR, 1)
         assert shown(house) == []
         house.stop(ClientRole.AUDITOR, 2, stood_ms=None)
@@ -254,7 +254,7 @@ def test_a_stop_that_nobody_confirmed_is_over_once_a_later_one_is_confirmed() ->
 
 def test_a_lane_is_silent_or_gone_and_neither_once_it_answers() -> None:
     silent, gone = "the stop lane does not answer", "the stop lane is gone"
-    with House(robot=False) as house:
+    with DemoGate(robot=False) as house:
         lane = house.service.stops
         house.do(partial(lane.lane_silent, is_silent=False))
         assert shown(house) == []

@@ -19,21 +19,21 @@ from authguard_r.server.explanation import explanation
 from authguard_r.server.remediation import mends_of, remedies, remedy_of
 from authguard_r.wire.messages import ClientRole, Explain, Kind, Observe, Order, OrderKind
 from fixtures import scenarios
-from unit.server.demo_site import FORBIDDEN, GO, SCAN, UNREADABLE, Guest, House, Refused
-from unit.server.test_rescues import Ward
+from unit.server.demo_site import FORBIDDEN, GO, SCAN, UNREADABLE, DemoGate, Guest, Refused
+from unit.server.test_emergencies import EmergencyGate
 
 #: Too fast: one bound, which a signature can raise.
 MENDS, EMERGENCY_MENDS = remedy_of(), remedy_of(emergency=True)
 FAST = b'navigate_to(destination="Pharmacy", speed=1.2)'
 
 
-def explained(house: House, seq: int | None = None) -> dict[str, Any]:
+def explained(house: DemoGate, seq: int | None = None) -> dict[str, Any]:
     auditor: Guest = house.enter(ClientRole.AUDITOR)
     return auditor.ask(Kind.EXPLAIN, Explain(seq=seq))
 
 
 def test_a_refused_decision_says_what_who_why_and_what_would_allow_it() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         house.propose(planner, FAST)
@@ -52,7 +52,7 @@ def test_a_refused_decision_says_what_who_why_and_what_would_allow_it() -> None:
 def test_a_change_that_no_signature_can_mend_is_not_proposed_nor_one_for_what_was_accepted() -> (
     None
 ):
-    with House() as house:
+    with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         house.propose(planner, GO)
@@ -66,7 +66,7 @@ def test_a_change_that_no_signature_can_mend_is_not_proposed_nor_one_for_what_wa
 
 
 def test_what_the_planner_was_shown_is_named_when_it_mentioned_what_was_refused() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         planner.ask(Kind.OBSERVE, Observe(channel="user", text="Take it to Office 1"))
@@ -77,7 +77,7 @@ def test_what_the_planner_was_shown_is_named_when_it_mentioned_what_was_refused(
 
 
 def test_a_refusal_without_a_decision_is_explained_by_its_message() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         house.propose(planner, UNREADABLE)
@@ -88,7 +88,7 @@ def test_a_refusal_without_a_decision_is_explained_by_its_message() -> None:
 
 
 def test_a_stop_and_an_order_say_who_gave_them() -> None:
-    with House() as house:
+    with DemoGate() as house:
         house.activate()
         house.stop(ClientRole.AUDITOR, 1)
         (stop,) = house.log("stop")
@@ -102,7 +102,7 @@ def test_a_stop_and_an_order_say_who_gave_them() -> None:
 
 
 def test_the_safety_gates_word_is_told_beside_the_other() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         near = msgspec.structs.replace(house.robot.state, human_distance_mm=500)
@@ -131,7 +131,7 @@ def test_every_reason_says_what_to_do_with_commands_that_there_are() -> None:
 
 
 def test_a_refusal_without_a_decision_says_where_and_what_to_do() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         house.propose(planner, b'navigate_to(destination="Nowhere", speed=0.5)')
@@ -142,7 +142,7 @@ def test_a_refusal_without_a_decision_says_where_and_what_to_do() -> None:
 
 
 def test_a_refused_emergency_is_the_last_refusal_and_has_advice_of_its_own() -> None:
-    with Ward() as house:
+    with EmergencyGate() as house:
         house.call(house.enter(ClientRole.PLANNER), "call-help")
         told = explained(house)
         assert (told["kind"], told["what"]) == ("refusal", "emergency call-help")
@@ -155,7 +155,7 @@ def test_a_refused_emergency_is_the_last_refusal_and_has_advice_of_its_own() -> 
 
 
 def test_a_record_that_is_not_there_is_refused() -> None:
-    with House(robot=False) as house:
+    with DemoGate(robot=False) as house:
         for seq in (None, 10**6):
             with pytest.raises(Refused) as refused:
                 explained(house, seq)
@@ -163,7 +163,7 @@ def test_a_record_that_is_not_there_is_refused() -> None:
 
 
 def test_a_mission_that_is_gone_leaves_a_record_explained_without_a_change() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         house.propose(planner, FAST)
@@ -178,7 +178,7 @@ def test_a_mission_that_is_gone_leaves_a_record_explained_without_a_change() -> 
 
 
 def test_the_last_refusal_is_the_planners_whatever_others_asked_wrongly_meanwhile() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         house.propose(planner, FAST)
@@ -194,7 +194,7 @@ def test_the_last_refusal_is_the_planners_whatever_others_asked_wrongly_meanwhil
 
 
 def test_a_question_without_an_answer_is_no_refusal_in_the_log() -> None:
-    with House() as house:
+    with DemoGate() as house:
         house.activate()
         before = len(house.log())
         with pytest.raises(Refused):
@@ -204,7 +204,7 @@ def test_a_question_without_an_answer_is_no_refusal_in_the_log() -> None:
 
 
 def test_what_the_safety_gate_refused_is_the_last_refusal_too() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         near = msgspec.structs.replace(house.robot.state, human_distance_mm=500)
@@ -269,7 +269,7 @@ def test_a_damaged_record_is_said_to_be_damaged(
 
 
 def test_a_log_that_is_damaged_is_answered_and_the_gate_serves_on() -> None:
-    with House(robot=False) as house:
+    with DemoGate(robot=False) as house:
         house.activate()
         rows = house.gate.ledger.store._rows  # type: ignore[attr-defined]
         rows[0] = (
@@ -284,7 +284,7 @@ def test_a_log_that_is_damaged_is_answered_and_the_gate_serves_on() -> None:
 
 
 def test_a_planner_is_never_told_of_a_change() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         answer = house.propose(planner, FAST + b"\n" + SCAN)

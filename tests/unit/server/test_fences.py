@@ -15,14 +15,14 @@ from authguard_r.core.standing import Outcome
 from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.sim.robot import Faults
 from authguard_r.wire.messages import ClientRole, OrderKind
-from unit.server.demo_site import GO, SCAN, Guest, House
-from unit.server.test_desk import order
-from unit.server.test_motions import walking
-from unit.server.test_rescues import Ward, worlds_mission
+from unit.server.demo_site import GO, SCAN, DemoGate, Guest
+from unit.server.test_dispatcher import order
+from unit.server.test_emergencies import EmergencyGate, worlds_mission
+from unit.server.test_lease_registry import walking
 
 
 @contextmanager
-def deaf(house: House) -> Iterator[None]:
+def deaf(house: DemoGate) -> Iterator[None]:
     """Let the estimator go on speaking and hear of no fence meanwhile."""
     house.advance(100)  # what was raised before has been heard
     assert house.robot.newest_fence == house.gate.ledger.fence
@@ -35,7 +35,7 @@ def deaf(house: House) -> Iterator[None]:
         house.advance(100)
 
 
-def decided(house: House, planner: Guest, plan: bytes = SCAN) -> list[str]:
+def decided(house: DemoGate, planner: Guest, plan: bytes = SCAN) -> list[str]:
     """Return why a plan is refused; nothing of one that is refused is released."""
     (step,) = house.propose(planner, plan)["steps"]
     assert step["released"] == (not step["reasons"])
@@ -43,7 +43,7 @@ def decided(house: House, planner: Guest, plan: bytes = SCAN) -> list[str]:
 
 
 def test_state_from_before_an_activation_counts_for_nothing() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         with deaf(house):
             house.activate()
@@ -53,7 +53,7 @@ def test_state_from_before_an_activation_counts_for_nothing() -> None:
 
 def test_state_from_before_a_resume_counts_for_nothing() -> None:
     """The estimator has measured since the stop: before the resume a person drove the robot."""
-    with House() as house:
+    with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         house.stop(ClientRole.OPERATOR, 1)
@@ -65,7 +65,7 @@ def test_state_from_before_a_resume_counts_for_nothing() -> None:
 
 def test_state_from_before_a_resolve_counts_for_nothing() -> None:
     """Nobody knew what the robot did until a person says how its action ended."""
-    with House(faults=Faults(answers_late_ms=60_000), stand_within_ms=1_000) as house:
+    with DemoGate(faults=Faults(answers_late_ms=60_000), stand_within_ms=1_000) as house:
         planner, number = walking(house)
         (step,) = house.rest(planner, number)["steps"]
         assert step["execution"]["outcome"] == "unknown"
@@ -82,7 +82,7 @@ def test_state_from_before_a_resolve_counts_for_nothing() -> None:
 
 @pytest.mark.parametrize("place", ["station-103", "dock"])
 def test_state_from_before_the_end_of_an_emergency_action_counts_for_nothing(place: str) -> None:
-    with Ward(mission=worlds_mission(), at=place) as house:
+    with EmergencyGate(mission=worlds_mission(), at=place) as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         with deaf(house):

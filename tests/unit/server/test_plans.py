@@ -34,22 +34,31 @@ from authguard_r.wire.messages import (
 )
 from fixtures import scenarios
 from fixtures.limits import bounded
-from unit.server.demo_site import FORBIDDEN, GO, PATIENCE_S, SCAN, UNREADABLE, Guest, House, Refused
+from unit.server.demo_site import (
+    FORBIDDEN,
+    GO,
+    PATIENCE_S,
+    SCAN,
+    UNREADABLE,
+    DemoGate,
+    Guest,
+    Refused,
+)
 
 COLLECT = (scenarios.HOSPITAL / "replies" / "01-collect.json").read_bytes()
 LONG = b"\n" * 20_000
 
 
-def planner(house: House, name: str | None = None) -> Guest:
+def planner(house: DemoGate, name: str | None = None) -> Guest:
     return house.enter(ClientRole.PLANNER, name)
 
 
-def decided(house: House) -> list[str]:
+def decided(house: DemoGate) -> list[str]:
     return [record.link.decision for record in house.log("decision")]
 
 
 def test_each_step_is_decided_in_its_turn_and_the_answer_names_all() -> None:
-    with House() as house:
+    with DemoGate() as house:
         client = planner(house)
         house.activate()
         number = house.begin(client, COLLECT)
@@ -64,7 +73,7 @@ def test_each_step_is_decided_in_its_turn_and_the_answer_names_all() -> None:
 
 
 def test_a_refused_step_ends_its_plan() -> None:
-    with House() as house:
+    with DemoGate() as house:
         client = planner(house)
         house.activate()
         answer = house.propose(client, FORBIDDEN + b"\n" + SCAN)
@@ -75,7 +84,7 @@ def test_a_refused_step_ends_its_plan() -> None:
 
 
 def test_a_step_that_was_released_and_did_not_succeed_ends_its_plan() -> None:
-    with House() as house:
+    with DemoGate() as house:
         client = planner(house)
         house.activate()
         number = house.begin(client, COLLECT)
@@ -87,7 +96,7 @@ def test_a_step_that_was_released_and_did_not_succeed_ends_its_plan() -> None:
 
 
 def test_a_second_proposal_while_one_runs_is_busy_and_unread() -> None:
-    with House() as house:
+    with DemoGate() as house:
         client = planner(house)
         house.activate()
         number = house.begin(client, GO)
@@ -101,7 +110,7 @@ def test_a_second_proposal_while_one_runs_is_busy_and_unread() -> None:
 
 
 def test_a_repeat_in_flight_is_answered_on_the_new_connection() -> None:
-    with House() as house:
+    with DemoGate() as house:
         first = planner(house)
         house.activate()
         number = house.begin(first, GO, "walk")
@@ -117,7 +126,7 @@ def test_a_repeat_in_flight_is_answered_on_the_new_connection() -> None:
 
 
 def test_a_planner_that_lost_its_connection_gets_the_answer_when_it_is_back() -> None:
-    with House() as house:
+    with DemoGate() as house:
         first = planner(house)
         house.activate()
         house.begin(first, COLLECT, "fetch")
@@ -129,7 +138,7 @@ def test_a_planner_that_lost_its_connection_gets_the_answer_when_it_is_back() ->
 
 
 def test_a_key_in_flight_is_one_plan_and_no_other() -> None:
-    with House() as house:
+    with DemoGate() as house:
         first, second = planner(house), planner(house)
         house.activate()
         number = house.begin(first, GO, "walk")
@@ -141,7 +150,7 @@ def test_a_key_in_flight_is_one_plan_and_no_other() -> None:
 
 
 def test_a_key_whose_plan_is_still_being_read_is_one_plan_and_no_other() -> None:
-    with House() as house:
+    with DemoGate() as house:
         first, second = planner(house), planner(house)
         house.activate()
         number = house.begin(first, SCAN + LONG, "look")
@@ -154,7 +163,7 @@ def test_a_key_whose_plan_is_still_being_read_is_one_plan_and_no_other() -> None
 
 
 def test_a_key_that_was_used_is_one_plan_and_nothing_is_decided_twice() -> None:
-    with House() as house:
+    with DemoGate() as house:
         client = planner(house)
         house.activate()
         first = house.propose(client, SCAN, "look")
@@ -168,13 +177,13 @@ def test_a_key_that_was_used_is_one_plan_and_nothing_is_decided_twice() -> None:
 
 
 def test_after_a_restart_a_repeat_is_answered_and_nothing_is_released(tmp_path: Path) -> None:
-    with House(store=open_store(tmp_path / "robot.db")) as house:
+    with DemoGate(store=open_store(tmp_path / "robot.db")) as house:
         client = planner(house)
         house.activate()
         first = house.propose(client, SCAN, "look")
         refused = house.propose(client, FORBIDDEN, "leave")
         clock = house.clock
-    with House(store=open_store(tmp_path / "robot.db"), clock=clock) as house:
+    with DemoGate(store=open_store(tmp_path / "robot.db"), clock=clock) as house:
         client = planner(house)
         again = house.propose(client, SCAN, "look")
         assert again["repeated"] is True
@@ -187,7 +196,7 @@ def test_after_a_restart_a_repeat_is_answered_and_nothing_is_released(tmp_path: 
 
 
 def test_a_planner_that_disconnects_gets_no_further_step_begun() -> None:
-    with House() as house:
+    with DemoGate() as house:
         client = planner(house)
         house.activate()
         house.begin(client, COLLECT, "fetch")
@@ -205,7 +214,7 @@ def test_a_planner_that_goes_while_its_next_step_waits_gets_it_not_begun(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     bounded(monkeypatch, sessions, read_s=PATIENCE_S)
-    with House(mode=Mode.SHADOW) as house:
+    with DemoGate(mode=Mode.SHADOW) as house:
         client = planner(house)
         house.activate()
         house.begin(client, SCAN + b"\n" + SCAN, "twice")
@@ -221,7 +230,7 @@ def test_a_planner_that_goes_while_its_next_step_waits_gets_it_not_begun(
 
 
 def test_a_planner_that_goes_while_its_plan_is_read_gets_nothing_begun() -> None:
-    with House() as house:
+    with DemoGate() as house:
         client = planner(house)
         house.activate()
         house.begin(client, SCAN + LONG, "look")
@@ -237,7 +246,7 @@ def test_a_planner_that_goes_while_its_plan_is_read_gets_nothing_begun() -> None
 
 
 def test_the_next_step_of_a_plan_waits_its_turn_behind_another_client() -> None:
-    with House(mode=Mode.SHADOW) as house:
+    with DemoGate(mode=Mode.SHADOW) as house:
         one, two = planner(house, "one"), planner(house, "two")
         house.activate()
         house.begin(one, b"\n".join([SCAN] * 3))
@@ -248,7 +257,7 @@ def test_the_next_step_of_a_plan_waits_its_turn_behind_another_client() -> None:
 
 
 def test_shadow_releases_nothing_judges_every_step_and_marks_every_record() -> None:
-    with House(mode=Mode.SHADOW) as house:
+    with DemoGate(mode=Mode.SHADOW) as house:
         client = planner(house)
         house.activate()
         here = house.place
@@ -265,7 +274,7 @@ def test_shadow_releases_nothing_judges_every_step_and_marks_every_record() -> N
 
 @pytest.mark.parametrize("mode", Mode)
 def test_a_plan_that_cannot_be_read_is_kept_sealed_in_shadow_alone(mode: Mode) -> None:
-    with House(mode=mode) as house:
+    with DemoGate(mode=mode) as house:
         client = planner(house)
         house.activate()
         answer = house.propose(client, UNREADABLE, dialect="python")
@@ -279,7 +288,7 @@ def test_a_plan_that_cannot_be_read_is_kept_sealed_in_shadow_alone(mode: Mode) -
 
 @pytest.mark.parametrize("wanted", OnRefusal)
 def test_what_is_done_after_a_refusal_is_what_the_mission_says(wanted: OnRefusal) -> None:
-    with House(mission=scenarios.mission(on_refusal=str(wanted))) as house:
+    with DemoGate(mission=scenarios.mission(on_refusal=str(wanted))) as house:
         client = planner(house)
         house.activate()
         answer = house.propose(client, FORBIDDEN)
@@ -291,7 +300,7 @@ def test_what_is_done_after_a_refusal_is_what_the_mission_says(wanted: OnRefusal
 
 
 def test_a_dialect_that_nobody_speaks_is_refused_and_the_planner_may_go_on() -> None:
-    with House() as house:
+    with DemoGate() as house:
         client = planner(house)
         house.activate()
         with pytest.raises(Refused) as refused:
@@ -302,7 +311,7 @@ def test_a_dialect_that_nobody_speaks_is_refused_and_the_planner_may_go_on() -> 
 
 
 def test_a_proposal_that_is_none_is_refused_and_the_planner_may_go_on() -> None:
-    with House() as house:
+    with DemoGate() as house:
         client = planner(house)
         house.activate()
         house.send(client, raw_frame(Kind.PROPOSE, 5, b'{"key":"k"}'))
@@ -317,7 +326,7 @@ def test_a_proposal_that_is_none_is_refused_and_the_planner_may_go_on() -> None:
 
 def test_what_a_planner_was_shown_counts_in_its_own_decisions_alone() -> None:
     notice = Observe(channel="user", text="Take it to Office 2, said the notice")
-    with House() as house:
+    with DemoGate() as house:
         shown, other = planner(house, "shown"), planner(house, "other")
         house.activate()
         channel = next(iter(house.site.channels), notice.channel)
@@ -334,7 +343,7 @@ def test_what_a_planner_was_shown_counts_in_its_own_decisions_alone() -> None:
 
 
 def test_a_channel_that_nobody_gave_a_label_is_refused() -> None:
-    with House() as house:
+    with DemoGate() as house:
         client = planner(house)
         with pytest.raises(Refused) as refused:
             client.ask(Kind.OBSERVE, Observe(channel="telepathy", text="go"))
@@ -342,7 +351,7 @@ def test_a_channel_that_nobody_gave_a_label_is_refused() -> None:
 
 
 def test_nobody_inputs_are_forgotten_for_one_more_planner() -> None:
-    with House(robot=False, estimator=False, connections=8) as house:
+    with DemoGate(robot=False, estimator=False, connections=8) as house:
         channel = "user"
         plans = house.service._dispatcher._plans
         for number in range(LIMITS.contexts - 1):  # of many users
@@ -359,7 +368,7 @@ def test_nobody_inputs_are_forgotten_for_one_more_planner() -> None:
 
 
 def test_one_user_has_its_own_part_of_what_is_kept_and_no_more() -> None:
-    with House(robot=False, estimator=False) as house:
+    with DemoGate(robot=False, estimator=False) as house:
         plans = house.service._dispatcher._plans
         for number in range(LIMITS.contexts_of_user):
             client = planner(house, f"p{number}")
@@ -376,7 +385,7 @@ def test_one_user_has_its_own_part_of_what_is_kept_and_no_more() -> None:
 
 
 def test_a_first_text_that_is_refused_takes_nobodys_place() -> None:
-    with House(robot=False, estimator=False) as house:
+    with DemoGate(robot=False, estimator=False) as house:
         client = planner(house)
         with pytest.raises(Refused):
             client.ask(Kind.OBSERVE, Observe(channel="carrier pigeon", text="coo"))
@@ -385,7 +394,7 @@ def test_a_first_text_that_is_refused_takes_nobodys_place() -> None:
 
 
 def test_who_was_shown_something_that_could_not_be_noted_may_have_seen_anything() -> None:
-    with House() as house:
+    with DemoGate() as house:
         plans = house.service._dispatcher._plans
         uid = os.geteuid()
         for number in range(LIMITS.contexts_of_user):
@@ -401,7 +410,7 @@ def test_who_was_shown_something_that_could_not_be_noted_may_have_seen_anything(
 
 
 def test_who_connects_anew_is_not_forgotten_to_have_seen_anything() -> None:
-    with House() as house:
+    with DemoGate() as house:
         plans = house.service._dispatcher._plans
         uid = os.geteuid()
         for number in range(LIMITS.contexts_of_user):
@@ -419,7 +428,7 @@ def test_who_connects_anew_is_not_forgotten_to_have_seen_anything() -> None:
 
 
 def test_more_names_than_are_kept_of_those_who_were_not_heard_are_their_whole_user() -> None:
-    with House() as house:
+    with DemoGate() as house:
         plans = house.service._dispatcher._plans
         uid = os.geteuid()
         plans.contexts._unheard.update(
@@ -443,7 +452,7 @@ def test_more_names_than_are_kept_of_those_who_were_not_heard_are_their_whole_us
 
 
 def test_a_third_long_plan_of_one_user_is_busy_and_its_key_free_again() -> None:
-    with House() as house:
+    with DemoGate() as house:
         house.activate()
         clients = [planner(house, name) for name in "abc"]
         numbers = [house.begin(client, FORBIDDEN + LONG, "k") for client in clients[:2]]
@@ -460,7 +469,7 @@ def test_a_third_long_plan_of_one_user_is_busy_and_its_key_free_again() -> None:
 
 
 def test_a_long_plan_whose_planner_hung_up_is_not_read_when_its_turn_comes() -> None:
-    with House() as house:
+    with DemoGate() as house:
         house.activate()
         stays, goes = planner(house, "stays"), planner(house, "goes")
         number = house.begin(stays, FORBIDDEN + LONG)
@@ -475,7 +484,7 @@ def test_a_long_plan_whose_planner_hung_up_is_not_read_when_its_turn_comes() -> 
 def test_a_planner_that_comes_back_while_its_long_plan_waits_gets_that_plans_answer(
     returns: str,
 ) -> None:
-    with House() as house:
+    with DemoGate() as house:
         house.activate()
         stays, goes = planner(house, "stays"), planner(house, "llm")
         number = house.begin(stays, FORBIDDEN + LONG)
@@ -494,7 +503,7 @@ def test_a_planner_that_comes_back_while_its_long_plan_waits_gets_that_plans_ans
 
 
 def test_a_long_what_if_is_read_elsewhere_and_says_what_a_short_one_says() -> None:
-    with House() as house:
+    with DemoGate() as house:
         house.activate()
         operator = house.enter(ClientRole.OPERATOR)
         short = operator.ask(Kind.EVALUATE, Evaluate(plan=GO))
@@ -521,7 +530,7 @@ def test_a_long_what_if_is_read_elsewhere_and_says_what_a_short_one_says() -> No
 
 
 def test_a_what_if_answers_and_leaves_no_trace() -> None:
-    with House() as house:
+    with DemoGate() as house:
         operator = house.enter(ClientRole.OPERATOR)
         with pytest.raises(Refused) as refused:
             operator.ask(Kind.EVALUATE, Evaluate(plan=GO))
@@ -547,7 +556,7 @@ def test_a_what_if_answers_and_leaves_no_trace() -> None:
 
 @pytest.mark.parametrize("level", Disclosure)
 def test_a_planner_is_told_what_the_configuration_says(level: Disclosure) -> None:
-    with House(disclosure=level) as house:
+    with DemoGate(disclosure=level) as house:
         client = planner(house)
         house.activate()
         (step,) = house.propose(client, FORBIDDEN)["steps"]
@@ -566,7 +575,7 @@ def test_a_planner_is_told_what_the_configuration_says(level: Disclosure) -> Non
 
 def test_eight_requests_wait_and_no_more_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
     bounded(monkeypatch, sessions, read_s=PATIENCE_S)
-    with House() as house:
+    with DemoGate() as house:
         client = planner(house)
         house.activate()
         line = house.client(client)
@@ -582,7 +591,7 @@ def test_eight_requests_wait_and_no_more_are_read(monkeypatch: pytest.MonkeyPatc
 
 
 def test_a_suspended_mission_refuses_until_it_is_resumed() -> None:
-    with House() as house:
+    with DemoGate() as house:
         client, operator = planner(house), house.enter(ClientRole.OPERATOR)
         house.activate()
         house.stop(ClientRole.OPERATOR, 1)

@@ -35,13 +35,15 @@ from authguard_r.server.proposals import Keeper
 from authguard_r.wire.disclosure import Disclosure
 from authguard_r.wire.messages import ClientRole, Propose, Result
 from fixtures import scenarios
-from unit.server.demo_site import FORBIDDEN, GO, SCAN, Guest, House
+from unit.server.demo_site import FORBIDDEN, GO, SCAN, DemoGate, Guest
 
 
 class Way:
     """One proposal of a real client of a real gate; the test carries its effects out."""
 
-    def __init__(self, house: House, planner: Guest, data: bytes, *, shadow: bool = False) -> None:
+    def __init__(
+        self, house: DemoGate, planner: Guest, data: bytes, *, shadow: bool = False
+    ) -> None:
         self.house = house
         self.data = data
         self.client = house.client(planner)
@@ -89,13 +91,13 @@ def kinds(effects: Effects) -> list[type]:
 
 
 @pytest.fixture
-def house() -> Iterator[House]:
-    with House(mission=scenarios.mission()) as made:
+def house() -> Iterator[DemoGate]:
+    with DemoGate(mission=scenarios.mission()) as made:
         made.activate()
         yield made
 
 
-def test_a_step_is_awaited_decided_watched_and_counted_in_this_order(house: House) -> None:
+def test_a_step_is_awaited_decided_watched_and_counted_in_this_order(house: DemoGate) -> None:
     way = Way(house, house.enter(ClientRole.PLANNER), GO + b"\n" + FORBIDDEN)
     proposal = way.proposal
     assert proposal.stage is ProposalStage.READING
@@ -116,7 +118,7 @@ def test_a_step_is_awaited_decided_watched_and_counted_in_this_order(house: Hous
     assert (len(answer.steps), answer.planned, answer.on_refusal) == (2, 2, "hold")
 
 
-def test_a_plan_that_cannot_be_read_is_recorded_before_it_is_answered(house: House) -> None:
+def test_a_plan_that_cannot_be_read_is_recorded_before_it_is_answered(house: DemoGate) -> None:
     way = Way(house, house.enter(ClientRole.PLANNER), b"no plan")
     error: AuthGuardError = MalformedError("no plan", where="input")
     (effect,) = way.proposal.read(error)
@@ -125,7 +127,7 @@ def test_a_plan_that_cannot_be_read_is_recorded_before_it_is_answered(house: Hou
     assert kinds(way.proposal.refused(report)) == [Forget, SendAnswer, CountDecision]
 
 
-def test_a_planner_that_hung_up_begins_nothing_and_its_key_is_free(house: House) -> None:
+def test_a_planner_that_hung_up_begins_nothing_and_its_key_is_free(house: DemoGate) -> None:
     planner = house.enter(ClientRole.PLANNER)
     way = Way(house, planner, GO)
     planner.line.close()
@@ -134,7 +136,9 @@ def test_a_planner_that_hung_up_begins_nothing_and_its_key_is_free(house: House)
     assert way.proposal.stage is ProposalStage.OVER
 
 
-def test_a_planner_that_hung_up_between_two_steps_still_has_its_answer_kept(house: House) -> None:
+def test_a_planner_that_hung_up_between_two_steps_still_has_its_answer_kept(
+    house: DemoGate,
+) -> None:
     planner = house.enter(ClientRole.PLANNER)
     way = Way(house, planner, GO + b"\n" + SCAN)
     way.proposal.read(way.plan())
@@ -150,7 +154,7 @@ def test_a_planner_that_hung_up_between_two_steps_still_has_its_answer_kept(hous
     assert len(effects[1].answer.steps) == 1  # type: ignore[union-attr]
 
 
-def test_a_result_is_told_before_the_answer_that_waits_for_it(house: House) -> None:
+def test_a_result_is_told_before_the_answer_that_waits_for_it(house: DemoGate) -> None:
     way = Way(house, house.enter(ClientRole.PLANNER), GO)
     way.proposal.read(way.plan())
     running = way.decide(way.proposal.due())
@@ -168,7 +172,7 @@ def test_a_result_is_told_before_the_answer_that_waits_for_it(house: House) -> N
 
 def test_the_robot_is_stopped_before_the_answer_where_the_mission_says_so() -> None:
     mission = msgspec.structs.replace(scenarios.mission(), on_refusal=OnRefusal.STOP)
-    with House(mission=mission) as house:
+    with DemoGate(mission=mission) as house:
         house.activate()
         way = Way(house, house.enter(ClientRole.PLANNER), FORBIDDEN)
         way.proposal.read(way.plan())
@@ -178,7 +182,7 @@ def test_the_robot_is_stopped_before_the_answer_where_the_mission_says_so() -> N
         assert kinds(effects) == [Forget, StopRobot, SendAnswer, CountDecision]
 
 
-def test_a_shadow_run_judges_every_step_whatever_became_of_the_one_before(house: House) -> None:
+def test_a_shadow_run_judges_every_step_whatever_became_of_the_one_before(house: DemoGate) -> None:
     way = Way(house, house.enter(ClientRole.PLANNER), FORBIDDEN + b"\n" + GO, shadow=True)
     way.proposal.read(way.plan())
     refused = way.decide(way.proposal.due())

@@ -20,7 +20,7 @@ from authguard_r.wire.disclosure import Disclosure
 from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import ClientRole
 from fixtures import scenarios
-from unit.server.demo_site import GO, SCAN, House
+from unit.server.demo_site import GO, SCAN, DemoGate
 
 ONE, TWO = (Digest(b64(bytes([n]) * 32)) for n in (1, 2))
 CLIENT, OTHER = Identifier("u1.planner"), Identifier("u2.planner")
@@ -32,7 +32,7 @@ def answered(*steps: Report, evidence: Digest = ONE) -> ProposalAnswer:
 
 
 def test_what_is_held_with_an_effect_is_recalled_and_no_other_plan_takes_its_key() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         answer = house.propose(planner, SCAN, "k")
@@ -49,7 +49,7 @@ def test_what_is_held_with_an_effect_is_recalled_and_no_other_plan_takes_its_key
 
 
 def test_what_is_told_again_is_what_was_told() -> None:
-    with House(disclosure=Disclosure.FULL) as house:
+    with DemoGate(disclosure=Disclosure.FULL) as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         first = house.propose(planner, SCAN + b"\n" + GO, "k")
@@ -80,7 +80,7 @@ def test_records_that_are_damaged_are_not_told_again() -> None:
 
 
 def test_a_step_whose_end_nobody_recorded_is_told_without_one() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         house.begin(planner, GO, "k")

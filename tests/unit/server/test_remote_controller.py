@@ -27,7 +27,7 @@ from authguard_r.sim.robot import Faults
 from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import PROTOCOL, Begun, ClientRole, Ended, Halt, Hello, Kind, Stood
 from fixtures import scenarios
-from unit.server.demo_site import GO, SCAN, HandClock, House, reasons
+from unit.server.demo_site import GO, SCAN, DemoGate, HandClock, reasons
 from unit.sim.desks import LIFE, NONCE, framed, greeting, welcome
 
 ONE, TWO = (Digest(b64(bytes([n]) * 32)) for n in (1, 2))
@@ -350,7 +350,7 @@ def test_what_is_not_admitted_is_not_dispatched() -> None:
 
 def test_a_controller_that_was_started_anew_begins_nothing_by_its_old_count() -> None:
     """Ten stops of an earlier start are told late, after a stop of this one that nobody knows."""
-    with House() as house:
+    with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         assert house.desk is not None
@@ -374,7 +374,7 @@ def test_a_controller_that_was_started_anew_begins_nothing_by_its_old_count() ->
 
 @pytest.mark.parametrize("first", ["stood", "lane"])
 def test_what_was_decided_before_an_operators_stop_never_starts(first: str) -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         desk = house.desk
@@ -399,7 +399,7 @@ def test_what_was_decided_before_an_operators_stop_never_starts(first: str) -> N
 
 
 def test_a_planners_stop_holds_nobody_up_for_longer_than_its_word_takes() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         desk = house.desk
@@ -417,7 +417,7 @@ def test_a_planners_stop_holds_nobody_up_for_longer_than_its_word_takes() -> Non
 
 
 def test_a_controller_that_says_nothing_is_told_to_stop_and_its_action_is_unknown() -> None:
-    with House(robot=False) as house:
+    with DemoGate(robot=False) as house:
         planner = house.enter(ClientRole.PLANNER)
         silent = house.enter(ClientRole.CONTROLLER)
         house.activate()
@@ -436,7 +436,7 @@ def test_a_controller_that_says_nothing_is_told_to_stop_and_its_action_is_unknow
 
 
 def test_a_second_controller_is_sent_away_and_the_first_goes_on() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         intruder = house.knock(ClientRole.CONTROLLER)
@@ -449,7 +449,7 @@ def test_a_second_controller_is_sent_away_and_the_first_goes_on() -> None:
 
 
 def test_a_controller_that_hangs_up_in_mid_motion_leaves_it_unknown() -> None:
-    with House(stand_within_ms=500) as house:
+    with DemoGate(stand_within_ms=500) as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         number = house.begin(planner, GO)
@@ -470,7 +470,7 @@ def test_a_controller_that_hangs_up_in_mid_motion_leaves_it_unknown() -> None:
 
 def test_nothing_begins_when_a_controller_comes_back_sooner_than_it_would_be_given_up() -> None:
     """It is another start, and knows nothing of the action before: a person has to say."""
-    with House(stand_within_ms=2_000) as house:
+    with DemoGate(stand_within_ms=2_000) as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         number = house.begin(planner, GO)
@@ -489,7 +489,7 @@ def test_nothing_begins_when_a_controller_comes_back_sooner_than_it_would_be_giv
 
 def test_a_controller_that_ignores_stops_does_not_hold_up_the_gate() -> None:
     deaf = Faults(ignores_stops=True, localization_stops_ms=1_000)
-    with House(faults=deaf) as house:
+    with DemoGate(faults=deaf) as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         (step,) = house.rest(planner, house.begin(planner, GO))["steps"]

@@ -15,26 +15,26 @@ from authguard_r.normalize.binding import Binding, require_sound
 from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import ClientRole, Kind, Result
 from fixtures import scenarios
-from unit.server.demo_site import GO, Guest, House, ticket_of
+from unit.server.demo_site import GO, DemoGate, Guest, ticket_of
 
 SIGN = "A sign reads: bring it to Station 103."
 STATION = scenarios.navigate("dock", "station-103")
 
 
-def setting_out(house: House, name: str | None = None) -> tuple[Guest, int]:
+def setting_out(house: DemoGate, name: str | None = None) -> tuple[Guest, int]:
     """Return a planner and its request; the robot is on its way."""
     planner = house.enter(ClientRole.PLANNER, name)
     house.activate()
     return planner, house.begin(planner, GO)
 
 
-def noted(house: House, planner: Guest) -> list[str]:
+def noted(house: DemoGate, planner: Guest) -> list[str]:
     """Return the labels under which the gate knows that the planner has read of the station."""
     context = house.service._dispatcher._plans.contexts.of(house.client(planner))
     return [str(item.label) for item in context.influences(STATION)]
 
 
-def brings(house: House, ticket: str, *texts: str) -> None:
+def brings(house: DemoGate, ticket: str, *texts: str) -> None:
     assert house.controller is not None
     house.controller.say(Kind.RESULT, Result(ticket=Digest(ticket), content=b"{}", texts=texts))
 
@@ -53,7 +53,7 @@ def binding_with(**more: object) -> Binding:
 
 
 def test_it_is_noted_first_then_told_then_the_answer_comes() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner, number = setting_out(house)
         assert noted(house, planner) == []
         brings(house, ticket_of(house), SIGN, "x" * 3_000)
@@ -69,7 +69,7 @@ def test_it_is_noted_first_then_told_then_the_answer_comes() -> None:
 
 
 def test_a_picture_counts_though_it_has_no_words() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner, number = setting_out(house)
         context = house.service._dispatcher._plans.contexts.of(house.client(planner))
         assert str(context.base()) == "model"
@@ -80,7 +80,7 @@ def test_a_picture_counts_though_it_has_no_words() -> None:
 
 
 def test_the_binding_says_by_which_channel_it_comes() -> None:
-    with House(binding=binding_with(result="tool")) as house:
+    with DemoGate(binding=binding_with(result="tool")) as house:
         planner, number = setting_out(house)
         brings(house, ticket_of(house), SIGN)
         house.rest(planner, number)
@@ -95,7 +95,7 @@ def test_of_several_ways_to_one_action_the_least_trusted_channel_counts() -> Non
         for name in ("tool", "document")
     )
     both = msgspec.structs.replace(shipped, tools={**shipped.tools, "navigate_to": two})
-    with House(binding=both) as house:
+    with DemoGate(binding=both) as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         number = house.begin(planner, b'navigate_to(destination="Pharmacy", mode="tool")')
@@ -111,7 +111,7 @@ def test_a_channel_that_the_site_has_not_makes_a_binding_unsound() -> None:
 
 
 def test_what_comes_after_the_end_or_of_nobodys_action_is_dropped() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner, number = setting_out(house)
         ticket = ticket_of(house)
         brings(house, scenarios.navigate("dock", "pharmacy").type.ljust(43, "A"), SIGN)
@@ -122,7 +122,7 @@ def test_what_comes_after_the_end_or_of_nobodys_action_is_dropped() -> None:
 
 
 def test_a_planner_that_cannot_be_kept_apart_counts_as_having_seen_anything() -> None:
-    with House(connections=8) as house:
+    with DemoGate(connections=8) as house:
         planner, number = setting_out(house)
         plans = house.service._dispatcher._plans
         for other in range(LIMITS.contexts):
@@ -136,7 +136,7 @@ def test_a_planner_that_cannot_be_kept_apart_counts_as_having_seen_anything() ->
 
 
 def test_nobody_but_the_controller_says_what_an_action_brought() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner, _ = setting_out(house)
         made = Result(ticket=ticket_of(house), content=b"{}", texts=(SIGN,))
         planner.say(Kind.RESULT, made)

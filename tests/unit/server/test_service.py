@@ -35,12 +35,12 @@ from authguard_r.wire.messages import (
     Propose,
 )
 from fixtures import scenarios
-from unit.server.demo_site import FORBIDDEN, GO, PATIENCE_S, SCAN, HandClock, House, reasons
+from unit.server.demo_site import FORBIDDEN, GO, PATIENCE_S, SCAN, DemoGate, HandClock, reasons
 from unit.sim.desks import NONCE
 
 
 def test_status_names_damage_to_issued_missions_beside_the_active_one() -> None:
-    with House(robot=False, estimator=False) as house:
+    with DemoGate(robot=False, estimator=False) as house:
         house.activate()
         auditor = house.enter(ClientRole.AUDITOR)
         assert auditor.ask(Kind.STATUS)["damaged"] == []
@@ -53,7 +53,7 @@ def test_status_names_damage_to_issued_missions_beside_the_active_one() -> None:
 
 
 def test_who_asks_with_a_nonce_gets_a_proof_over_it() -> None:
-    with House(robot=False, estimator=False) as house:
+    with DemoGate(robot=False, estimator=False) as house:
         guest = house.knock(ClientRole.PLANNER)
         hello = Hello(protocol=PROTOCOL, role=ClientRole.PLANNER, client="p", nonce=NONCE)
         guest.say(Kind.HELLO, hello)
@@ -72,7 +72,7 @@ def test_who_asks_with_a_nonce_gets_a_proof_over_it() -> None:
 
 
 def test_more_connections_of_one_user_than_there_may_be_are_refused_and_others_stay() -> None:
-    with House(robot=False, estimator=False, connections=2) as house:
+    with DemoGate(robot=False, estimator=False, connections=2) as house:
         one = house.enter(ClientRole.AUDITOR, "one")
         house.enter(ClientRole.AUDITOR, "two").leave()
         two = house.enter(ClientRole.AUDITOR, "three")
@@ -83,7 +83,7 @@ def test_more_connections_of_one_user_than_there_may_be_are_refused_and_others_s
 
 
 def test_a_fault_of_ours_in_a_turn_costs_that_client_alone() -> None:
-    with House() as house:
+    with DemoGate() as house:
         one, two = house.enter(ClientRole.PLANNER, "one"), house.enter(ClientRole.AUDITOR, "two")
         first = house.client(one)
         house.do(lambda: house.service._later(first, lambda: 1 // 0))
@@ -95,7 +95,7 @@ def test_a_fault_of_ours_in_a_turn_costs_that_client_alone() -> None:
 
 
 def test_proposals_that_are_shed_in_a_row_are_counted_and_one_refusal() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         number = house.begin(planner, GO)
@@ -112,7 +112,7 @@ def test_proposals_that_are_shed_in_a_row_are_counted_and_one_refusal() -> None:
 
 def unclean(path: Path) -> HandClock:
     """Leave a store whose gate died with a walk under way."""
-    with House(store=open_store(path)) as house:
+    with DemoGate(store=open_store(path)) as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         house.begin(planner, GO)
@@ -126,7 +126,7 @@ def test_what_the_last_run_left_open_is_settled_before_anything_new(
     tmp_path: Path, by: str
 ) -> None:
     clock = unclean(tmp_path / "robot.db")
-    with House(
+    with DemoGate(
         store=open_store(tmp_path / "robot.db"), clock=clock, robot=False, estimator=False
     ) as house:
         assert house.standing.status == "active"
@@ -158,10 +158,10 @@ def test_what_the_last_run_left_open_is_settled_before_anything_new(
 
 
 def test_a_clean_end_leaves_nothing_to_settle(tmp_path: Path) -> None:
-    with House(store=open_store(tmp_path / "robot.db")) as house:
+    with DemoGate(store=open_store(tmp_path / "robot.db")) as house:
         house.activate()
         clock = house.clock
-    with House(store=open_store(tmp_path / "robot.db"), clock=clock) as house:
+    with DemoGate(store=open_store(tmp_path / "robot.db"), clock=clock) as house:
         assert house.standing.status == "active"
         planner = house.enter(ClientRole.PLANNER)
         assert house.propose(planner, SCAN)["steps"][0]["executed"]
@@ -170,7 +170,7 @@ def test_a_clean_end_leaves_nothing_to_settle(tmp_path: Path) -> None:
 def test_a_clock_behind_settles_nothing_and_is_tried_again(tmp_path: Path) -> None:
     clock = unclean(tmp_path / "robot.db")
     clock.wrong_ms = -3_600_000
-    with House(store=open_store(tmp_path / "robot.db"), clock=clock, robot=False) as house:
+    with DemoGate(store=open_store(tmp_path / "robot.db"), clock=clock, robot=False) as house:
         clock.ms += LIMITS.recovery_ms
         house.do(house.service._listen)
         assert [alert["what"] for alert in house.service.liveness.alerts] == ["the clock is behind"]
@@ -183,7 +183,7 @@ def test_a_clock_behind_settles_nothing_and_is_tried_again(tmp_path: Path) -> No
 
 
 def test_an_operators_stop_suspends_and_the_same_stop_twice_is_one() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         number = house.begin(planner, GO)
@@ -201,7 +201,7 @@ def test_an_operators_stop_suspends_and_the_same_stop_twice_is_one() -> None:
 
 
 def test_a_stop_that_comes_late_or_from_a_lane_with_an_earlier_clock_is_a_stop() -> None:
-    with House() as house:
+    with DemoGate() as house:
         house.activate()
         house.stop(ClientRole.PLANNER, 7, epoch=1_000_000)
         house.stop(ClientRole.PLANNER, 6, epoch=1_000_000)
@@ -211,7 +211,7 @@ def test_a_stop_that_comes_late_or_from_a_lane_with_an_earlier_clock_is_a_stop()
         assert house.standing.status == "suspended"
 
 
-def broken(house: House, *, reads: bool = False) -> Any:
+def broken(house: DemoGate, *, reads: bool = False) -> Any:
     """Return what mends the store again; nothing that has to be written is, from now on.
 
     Args:
@@ -233,7 +233,7 @@ def broken(house: House, *, reads: bool = False) -> Any:
 def test_an_operators_stop_that_could_not_be_committed_is_owed_and_nothing_released(
     why: str,
 ) -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         if why == "store":
@@ -258,7 +258,7 @@ def test_an_operators_stop_that_could_not_be_committed_is_owed_and_nothing_relea
 
 
 def test_a_planners_stop_that_could_not_be_recorded_holds_nobody_up() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         mend = broken(house)
@@ -269,7 +269,7 @@ def test_a_planners_stop_that_could_not_be_recorded_holds_nobody_up() -> None:
 
 
 def test_a_stop_that_nobody_confirmed_is_an_alert() -> None:
-    with House(mode=Mode.SHADOW) as house:
+    with DemoGate(mode=Mode.SHADOW) as house:
         house.stop(ClientRole.PLANNER, 1, stood_ms=None)
         (record,) = house.log("alert")
         assert record.open["what"] == "nobody confirmed a stop"
@@ -277,7 +277,7 @@ def test_a_stop_that_nobody_confirmed_is_an_alert() -> None:
 
 
 def test_a_lane_that_is_lost_is_an_alert_with_why() -> None:
-    with House(robot=False) as house:
+    with DemoGate(robot=False) as house:
         fault = EnvironmentFault("gone", reason=Reason.STORE_UNAVAILABLE, where="stop lane")
         house.do(lambda: house.service.stops.lane_lost(None))
         house.do(lambda: house.service.stops.lane_lost(fault))
@@ -297,7 +297,7 @@ def test_a_lane_that_is_lost_is_an_alert_with_why() -> None:
 
 
 def test_refusals_in_a_row_are_an_alert_and_stop_the_robot() -> None:
-    with House(refusals=3) as house:
+    with DemoGate(refusals=3) as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         for _ in range(3):
@@ -311,7 +311,7 @@ def test_refusals_in_a_row_are_an_alert_and_stop_the_robot() -> None:
 
 
 def test_in_shadow_nobody_is_stopped_for_getting_nowhere_and_silence_is_no_news() -> None:
-    with House(mode=Mode.SHADOW, refusals=1) as house:
+    with DemoGate(mode=Mode.SHADOW, refusals=1) as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         house.propose(planner, FORBIDDEN)
@@ -322,7 +322,7 @@ def test_in_shadow_nobody_is_stopped_for_getting_nowhere_and_silence_is_no_news(
 
 
 def test_a_mission_without_a_controller_is_an_alert_and_a_silent_estimator_another() -> None:
-    with House(robot=False) as house:
+    with DemoGate(robot=False) as house:
         house.activate()
         house.do(house.service._listen)
         house.clock.ms += 60_001
@@ -335,7 +335,7 @@ def test_a_mission_without_a_controller_is_an_alert_and_a_silent_estimator_anoth
 
 
 def test_a_store_that_is_gone_does_not_end_the_listening() -> None:
-    with House(robot=False) as house:
+    with DemoGate(robot=False) as house:
         house.activate()
         house.gate.ledger.store.close()
         house.service.queries.mission.changed()
@@ -347,7 +347,7 @@ def test_a_store_that_is_gone_does_not_end_the_listening() -> None:
 # the clocks
 
 
-def running(house: House, *, after: Any = None) -> None:
+def running(house: DemoGate, *, after: Any = None) -> None:
     """Run the service's clocks until somebody ends it."""
 
     async def whole() -> None:
@@ -361,7 +361,7 @@ def running(house: House, *, after: Any = None) -> None:
 
 
 def test_the_clocks_look_flush_and_listen_until_the_end() -> None:
-    with House(robot=False, estimator=False) as house:
+    with DemoGate(robot=False, estimator=False) as house:
         planner = house.enter(ClientRole.PLANNER)
         house.begin(planner, FORBIDDEN)  # no mission: a refusal, which waits
         rows = house.gate.ledger.run(lambda act: act.head()[0])
@@ -377,7 +377,7 @@ def test_the_clocks_look_flush_and_listen_until_the_end() -> None:
 
 
 def test_a_clock_that_fails_ends_the_gate_and_the_robot_is_stopped_first() -> None:
-    with House(stand_within_ms=100) as house:
+    with DemoGate(stand_within_ms=100) as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         house.begin(planner, GO)
@@ -395,7 +395,7 @@ def test_a_clock_that_fails_ends_the_gate_and_the_robot_is_stopped_first() -> No
         assert house.log("stop")[0].open["by"] == "gate"
 
 
-async def answering(house: House) -> None:
+async def answering(house: DemoGate) -> None:
     """Answer as the controller would, from its own process, until nothing moves."""
     loop = asyncio.get_running_loop()
     controller, desk = house.controller, house.desk
@@ -412,7 +412,7 @@ async def answering(house: House) -> None:
 
 
 def test_a_clean_end_stops_what_moves_and_writes_how_it_ended() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         house.begin(planner, GO)
@@ -427,7 +427,7 @@ def test_a_clean_end_stops_what_moves_and_writes_how_it_ended() -> None:
 
 
 def test_nothing_is_decided_once_the_gate_ends_however_it_came() -> None:
-    with House(stand_within_ms=30_000) as house:
+    with DemoGate(stand_within_ms=30_000) as house:
         planner, late, reads = (house.enter(ClientRole.PLANNER, name) for name in "abc")
         house.activate()
         house.begin(planner, GO)
@@ -457,7 +457,7 @@ def test_nothing_is_decided_once_the_gate_ends_however_it_came() -> None:
 
 
 def test_simulated_time_is_told_whether_something_moves() -> None:
-    with House(robot=False, store=MemoryStore()) as house:
+    with DemoGate(robot=False, store=MemoryStore()) as house:
         moving: list[bool] = []
         house.service._advance = moving.append
         house.do(house.service._look)

@@ -21,8 +21,8 @@ from authguard_r.wire.messages import ClientRole, Close, Kind, Sample
 from fixtures import scenarios
 from unit.server.demo_site import (
     GO,
+    DemoGate,
     Guest,
-    House,
     Refused,
     drive,
     driving,
@@ -39,7 +39,7 @@ SLOW = {**ZERO, "linear_mm_s": 120}
 class Driven:
     """A house with one stream under way."""
 
-    def __init__(self, house: House, **plan: int) -> None:
+    def __init__(self, house: DemoGate, **plan: int) -> None:
         self.house = house
         self.planner: Guest = house.enter(ClientRole.PLANNER)
         house.activate()
@@ -254,7 +254,7 @@ def test_what_is_no_stream_is_not_to_be_sampled() -> None:
         house.activate()
         with pytest.raises(Refused):
             planner.ask(Kind.SAMPLE, Sample(ticket=Digest("A" * 43), params=ZERO))
-    with House() as house:
+    with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         house.begin(planner, GO)

@@ -23,13 +23,13 @@ from authguard_r.wire.messages import ClientRole
 from fixtures import emergency_policies
 from fixtures.emergency_files import record
 from unit.server.demo_site import HandClock
-from unit.server.test_rescues import Disk, Ward, _Kept, always, planner
+from unit.server.test_emergencies import Disk, EmergencyGate, _Kept, always, planner
 
 HOUR_MS = 3_600_000
 NEAR = emergency_policies.guard("human_distance_mm", "le", 1_500)
 
 
-def refuses(house: Ward) -> None:
+def refuses(house: EmergencyGate) -> None:
     """Let the controller's end take nothing: whatever is released does not begin."""
 
     def refuse(_action: Action, _lease: Lease) -> None:
@@ -39,17 +39,17 @@ def refuses(house: Ward) -> None:
     house.admit = refuse
 
 
-def takes(house: Ward) -> None:
+def takes(house: EmergencyGate) -> None:
     """Let the controller's end take everything again."""
     assert house.remote is not None
     house.admit = lambda _action, _lease: None
 
 
-def set_distance(house: Ward, distance_mm: int) -> None:
+def set_distance(house: EmergencyGate, distance_mm: int) -> None:
     house.robot.state = replace(house.robot.state, human_distance_mm=distance_mm)
 
 
-def counts(house: Ward, caller: Caller, capability: str = "go-safe") -> tuple[int, int]:
+def counts(house: EmergencyGate, caller: Caller, capability: str = "go-safe") -> tuple[int, int]:
     """Return how many uses and given back tries are known."""
     log = house.road.log
     return (len(log.uses(caller, capability)), len(log.tries(caller, capability)))
@@ -58,12 +58,12 @@ def counts(house: Ward, caller: Caller, capability: str = "go-safe") -> tuple[in
 def test_what_was_not_started_is_no_use_and_the_next_start_knows(tmp_path: Path) -> None:
     store, clock = _Kept(MemoryStore()), HandClock()
     road: dict[str, Any] = {"store": store, "clock": clock, "journal": tmp_path / "journal"}
-    with Ward(at="station-103", **road) as house:
+    with EmergencyGate(at="station-103", **road) as house:
         refuses(house)
         assert house.call(planner(house), "go-safe")["execution"]["outcome"] == "not_started"
         assert counts(house, Caller.PLANNER) == (0, 1)
         house.crashes = True
-    with Ward(at="station-103", **road) as house:
+    with EmergencyGate(at="station-103", **road) as house:
         assert counts(house, Caller.PLANNER) == (0, 1)
 
 
@@ -71,7 +71,7 @@ def test_what_was_not_started_while_the_store_was_gone_is_no_use_either(tmp_path
     disk, clock = Disk(), HandClock()
     disk.close = lambda: None  # type: ignore[method-assign] - it outlives its gate
     road: dict[str, Any] = {"store": disk, "clock": clock, "journal": tmp_path / "journal"}
-    with Ward(at="station-103", **road) as house:
+    with EmergencyGate(at="station-103", **road) as house:
         guest = planner(house)
         assert house.call(guest, "go-safe")["execution"]["outcome"] == "succeeded"
         refuses(house)
@@ -80,7 +80,7 @@ def test_what_was_not_started_while_the_store_was_gone_is_no_use_either(tmp_path
         house.crashes = True
     disk.dead = False
     for _ in range(2):
-        with Ward(at="station-103", **road) as house:
+        with EmergencyGate(at="station-103", **road) as house:
             assert counts(house, Caller.PLANNER) == (1, 1)
             assert [decision for decision, _ in house.told] == [
                 *("accept", "succeeded", "accept", "not_started")
@@ -119,14 +119,14 @@ def test_uses_that_are_older_than_an_hour_are_forgotten() -> None:
 
 def test_planners_that_use_up_theirs_leave_the_operators_and_the_gates() -> None:
     for_all = always(id="mine", per_hour=1, callers=["gate", "operator", "planner"])
-    with Ward({**for_all, "callers": ["operator", "planner"]}, at="station-103") as house:
+    with EmergencyGate({**for_all, "callers": ["operator", "planner"]}, at="station-103") as house:
         one, two = planner(house, "one"), planner(house, "two")
         person = house.enter(ClientRole.OPERATOR, "nurse")
         assert house.call(one, "mine")["execution"]["outcome"] == "succeeded"
         assert house.call(two, "mine")["reasons"] == ["RATE_EXCEEDED"]
         assert house.call(person, "mine")["execution"]["outcome"] == "succeeded"
         assert house.call(person, "mine")["reasons"] == ["RATE_EXCEEDED"]
-    with Ward({**for_all, "guards": [NEAR]}, at="station-103") as house:
+    with EmergencyGate({**for_all, "guards": [NEAR]}, at="station-103") as house:
         guest = planner(house)
         number = house.begin_call(guest, "mine")
         set_distance(house, 1_400)
@@ -141,7 +141,7 @@ def test_planners_that_use_up_theirs_leave_the_operators_and_the_gates() -> None
 @pytest.mark.complete
 def test_a_caller_that_begins_in_vain_over_and_over_is_refused_in_the_end() -> None:
     """Each try writes what may use the reserve: a planner must not fill the disk with them."""
-    with Ward(at="station-103") as house:
+    with EmergencyGate(at="station-103") as house:
         refuses(house)
         guest, person = planner(house), house.enter(ClientRole.OPERATOR, "nurse")
         for _ in range(MOST_PER_HOUR):
@@ -158,7 +158,7 @@ def test_a_caller_that_begins_in_vain_over_and_over_is_refused_in_the_end() -> N
 
 
 def test_the_gates_own_tries_of_one_episode_are_few_and_no_uses() -> None:
-    with Ward(always(guards=[NEAR], per_hour=1), at="station-103") as house:
+    with EmergencyGate(always(guards=[NEAR], per_hour=1), at="station-103") as house:
         refuses(house)
         set_distance(house, 1_400)
         house.advance(30_000)
@@ -172,7 +172,7 @@ def test_the_gates_own_tries_of_one_episode_are_few_and_no_uses() -> None:
 
 
 def test_the_gates_next_episode_does_not_wait_for_what_the_last_one_tried() -> None:
-    with Ward(always(guards=[NEAR], per_hour=1), at="station-103") as house:
+    with EmergencyGate(always(guards=[NEAR], per_hour=1), at="station-103") as house:
         refuses(house)
         set_distance(house, 1_400)
         house.advance(20_000)
@@ -187,7 +187,7 @@ def test_the_gates_next_episode_does_not_wait_for_what_the_last_one_tried() -> N
 
 def test_a_begin_that_no_disk_took_is_no_use() -> None:
     disk = Disk()
-    with Ward(store=disk, at="station-103") as house:
+    with EmergencyGate(store=disk, at="station-103") as house:
         call = house.road.judge("go-safe", Caller.PLANNER, "u1.x", stands=True)  # type: ignore[arg-type]
         disk.dead = True
         assert isinstance(house.road.begin(call), EmergencyReport)

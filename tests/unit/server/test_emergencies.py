@@ -33,7 +33,7 @@ from authguard_r.store.memory import MemoryStore
 from authguard_r.wire.messages import ClientRole, Emergency, Kind, Order, OrderKind
 from fixtures import emergency_policies, scenarios
 from fixtures.limits import bounded
-from unit.server.demo_site import GO, STEP_MS, Guest, HandClock, House, Refused
+from unit.server.demo_site import GO, STEP_MS, DemoGate, Guest, HandClock, Refused
 
 HOUR_MS = 3_600_000
 
@@ -65,7 +65,7 @@ class Disk:
         self.inner.close()
 
 
-class Ward(House):
+class EmergencyGate(DemoGate):
     """A house with an emergency road."""
 
     def __init__(
@@ -126,12 +126,12 @@ class Ward(House):
         return [record.open for record in self.log("alert")]
 
 
-def planner(house: House, name: str | None = None) -> Guest:
+def planner(house: DemoGate, name: str | None = None) -> Guest:
     return house.enter(ClientRole.PLANNER, name)
 
 
 def test_a_real_emergency_without_a_mission_is_carried_out_and_recorded() -> None:
-    with Ward(at="station-103") as house:
+    with EmergencyGate(at="station-103") as house:
         answer = house.call(planner(house), "go-safe")
         assert (answer["outcome"], answer["execution"]["outcome"]) == ("accept", "succeeded")
         assert house.robot.state.region == "dock"
@@ -152,7 +152,7 @@ def dead(tmp_path: Path, name: str) -> bytes:
 
 
 def test_a_policy_whose_signer_is_revoked_moves_nothing_any_more(tmp_path: Path) -> None:
-    with Ward(at="station-103") as house:
+    with EmergencyGate(at="station-103") as house:
         house.gate.lists.install(dead(tmp_path, "safety-officer-1"))
         answer = house.call(planner(house), "go-safe")
         assert (answer["outcome"], answer["reasons"]) == ("reject", ["CERTIFICATE_REVOKED"])
@@ -160,7 +160,7 @@ def test_a_policy_whose_signer_is_revoked_moves_nothing_any_more(tmp_path: Path)
 
 
 def test_an_emergency_under_way_stops_when_its_signer_is_revoked(tmp_path: Path) -> None:
-    with Ward(at="station-103") as house:
+    with EmergencyGate(at="station-103") as house:
         guest = planner(house)
         number = house.begin_call(guest, "go-safe")
         house.advance(1_000)
@@ -172,7 +172,7 @@ def test_an_emergency_under_way_stops_when_its_signer_is_revoked(tmp_path: Path)
 
 
 def test_dates_that_passed_say_nothing_against_a_policy_that_was_opened_in_time() -> None:
-    with Ward(at="station-103") as house:
+    with EmergencyGate(at="station-103") as house:
         later = Now(
             scenarios.START_MS + 400 * emergency_policies.DAY_MS, 0
         )  # certificates and lists are over
@@ -195,7 +195,7 @@ def test_dates_that_passed_say_nothing_against_a_policy_that_was_opened_in_time(
 def test_a_false_emergency_of_a_planner_is_refused_and_told_to_people(
     capability: str, reason: str
 ) -> None:
-    with Ward() as house:
+    with EmergencyGate() as house:
         before = house.place
         answer = house.call(planner(house), capability)
         assert (answer["outcome"], answer["reasons"][0]) == ("reject", reason)
@@ -206,7 +206,7 @@ def test_a_false_emergency_of_a_planner_is_refused_and_told_to_people(
 
 
 def test_a_row_of_false_emergencies_is_one_record_and_an_alert_at_each_power_of_ten() -> None:
-    with Ward() as house:
+    with EmergencyGate() as house:
         guests = [planner(house, "one"), planner(house, "two")]
         for number in range(101):
             house.call(guests[number % 2], "call-help")
@@ -217,7 +217,7 @@ def test_a_row_of_false_emergencies_is_one_record_and_an_alert_at_each_power_of_
 
 
 def test_a_false_emergency_does_not_stop_a_mission() -> None:
-    with Ward(mission=worlds_mission()) as house:
+    with EmergencyGate(mission=worlds_mission()) as house:
         client = planner(house)
         house.activate()
         number = house.begin(client, GO)
@@ -233,7 +233,7 @@ def worlds_mission() -> Mission:
 
 
 def test_a_real_emergency_stops_what_runs_first_and_nothing_is_proposed_meanwhile() -> None:
-    with Ward(mission=worlds_mission()) as house:
+    with EmergencyGate(mission=worlds_mission()) as house:
         client = planner(house)
         house.activate()
         number = house.begin(client, GO)
@@ -255,7 +255,7 @@ def test_a_real_emergency_stops_what_runs_first_and_nothing_is_proposed_meanwhil
 
 def test_a_guard_that_ends_while_the_robot_moves_stops_it() -> None:
     near = emergency_policies.guard("human_distance_mm", "ge", 2_000)
-    with Ward(
+    with EmergencyGate(
         {**emergency_policies.GO_SAFE, "guards": [near]}, at="station-103", speed_up=1
     ) as house:
         guest = planner(house)
@@ -268,7 +268,7 @@ def test_a_guard_that_ends_while_the_robot_moves_stops_it() -> None:
 
 
 def test_stale_state_is_no_emergency() -> None:
-    with Ward(at="station-103") as house:
+    with EmergencyGate(at="station-103") as house:
         guest = planner(house)
         assert house.estimator is not None
         house.estimator.leave()
@@ -283,7 +283,7 @@ def test_stale_state_is_no_emergency() -> None:
 
 @pytest.mark.complete
 def test_the_rate_is_held_to() -> None:
-    with Ward(at="dock") as house:
+    with EmergencyGate(at="dock") as house:
         guest = planner(house)
         for _ in range(3):
             assert house.call(guest, "go-safe")["outcome"] == "accept"
@@ -295,7 +295,7 @@ def test_the_rate_is_held_to() -> None:
 
 
 def test_a_repeated_key_is_one_call() -> None:
-    with Ward() as house:
+    with EmergencyGate() as house:
         guest = planner(house)
         first = house.call(guest, "go-safe", "the-one")
         again = house.call(guest, "go-safe", "the-one")
@@ -304,7 +304,7 @@ def test_a_repeated_key_is_one_call() -> None:
 
 
 def test_a_key_that_is_not_answered_is_busy() -> None:
-    with Ward(at="station-103", speed_up=1) as house:
+    with EmergencyGate(at="station-103", speed_up=1) as house:
         guest = planner(house)
         house.begin_call(guest, "go-safe", "the-one")
         with pytest.raises(Refused, match="BUSY"):
@@ -314,7 +314,7 @@ def test_a_key_that_is_not_answered_is_busy() -> None:
 
 def test_the_second_gate_has_its_own_word() -> None:
     fast = {**emergency_policies.GO_SAFE, "params": {"speed_mm_s": 1_500}}
-    with Ward(fast, at="station-103") as house:
+    with EmergencyGate(fast, at="station-103") as house:
         house.robot.state = msgspec.structs.replace(house.robot.state, human_distance_mm=500)
         house.advance(STEP_MS)
         answer = house.call(planner(house), "go-safe")
@@ -322,7 +322,7 @@ def test_the_second_gate_has_its_own_word() -> None:
 
 
 def test_an_operators_stop_stands_until_a_signed_resume() -> None:
-    with Ward(at="station-103", mission=worlds_mission()) as house:
+    with EmergencyGate(at="station-103", mission=worlds_mission()) as house:
         guest = planner(house)
         house.activate()
         house.stop(ClientRole.OPERATOR, 1)
@@ -335,11 +335,11 @@ def test_an_operators_stop_stands_until_a_signed_resume() -> None:
 def test_a_stop_stands_over_a_restart_unless_the_capability_says_otherwise() -> None:
     store, clock = MemoryStore(), HandClock()
     inner: Store = _Kept(store)
-    with Ward(store=inner, clock=clock) as house:
+    with EmergencyGate(store=inner, clock=clock) as house:
         house.stop(ClientRole.OPERATOR, 1)
         house.crashes = True
     after = {**emergency_policies.GO_SAFE, "id": "after", "after_stop": True}
-    with Ward(emergency_policies.GO_SAFE, after, store=inner, clock=clock) as house:
+    with EmergencyGate(emergency_policies.GO_SAFE, after, store=inner, clock=clock) as house:
         guest = planner(house)
         assert house.call(guest, "go-safe")["reasons"] == ["STOPPED"]
         assert house.call(guest, "after")["outcome"] == "accept"
@@ -369,7 +369,7 @@ class _Kept:
 
 def test_the_gate_itself_calls_once_when_the_guards_begin_to_hold() -> None:
     holding = {**emergency_policies.LET_GO, "without": ["mission"]}
-    with Ward(holding) as house:
+    with EmergencyGate(holding) as house:
         house.advance(500)
         assert house.told == []
         state = house.robot.state
@@ -385,7 +385,7 @@ def test_the_gate_itself_calls_once_when_the_guards_begin_to_hold() -> None:
 
 def test_what_needs_a_mission_or_a_clock_does_not_work_without() -> None:
     needy = {**emergency_policies.GO_SAFE, "id": "needy", "without": []}
-    with Ward(emergency_policies.GO_SAFE, needy) as house:
+    with EmergencyGate(emergency_policies.GO_SAFE, needy) as house:
         guest = planner(house)
         assert house.call(guest, "needy")["reasons"] == ["NO_ACTIVE_MISSION"]
         house.clock.wrong_ms = -HOUR_MS
@@ -394,7 +394,7 @@ def test_what_needs_a_mission_or_a_clock_does_not_work_without() -> None:
 
 
 def test_a_real_emergency_with_a_clock_that_is_behind() -> None:
-    with Ward(at="station-103") as house:
+    with EmergencyGate(at="station-103") as house:
         guest = planner(house)
         house.call(guest, "call-help")  # something is committed
         house.advance(200)
@@ -410,7 +410,7 @@ def test_an_emergency_with_a_dead_store_goes_into_the_journal_and_then_into_the_
     tmp_path: Path,
 ) -> None:
     disk = Disk()
-    with Ward(at="station-103", journal=tmp_path / "journal", store=disk) as house:
+    with EmergencyGate(at="station-103", journal=tmp_path / "journal", store=disk) as house:
         guest = planner(house)
         disk.dead = True
         answer = house.call(guest, "go-safe")
@@ -428,7 +428,7 @@ def test_an_emergency_with_a_dead_store_goes_into_the_journal_and_then_into_the_
 def test_what_needs_the_store_does_not_work_without(tmp_path: Path) -> None:
     disk = Disk()
     needy = {**emergency_policies.GO_SAFE, "without": ["mission"]}
-    with Ward(needy, journal=tmp_path / "journal", store=disk) as house:
+    with EmergencyGate(needy, journal=tmp_path / "journal", store=disk) as house:
         guest = planner(house)
         disk.dead = True
         answer = house.call(guest, "go-safe")
@@ -440,7 +440,7 @@ def test_what_needs_the_store_does_not_work_without(tmp_path: Path) -> None:
 
 def test_without_a_journal_nothing_is_done_that_no_disk_has() -> None:
     disk = Disk()
-    with Ward(store=disk) as house:
+    with EmergencyGate(store=disk) as house:
         guest = planner(house)
         disk.dead = True
         assert house.call(guest, "go-safe")["reasons"] == ["STORE_UNAVAILABLE"]
@@ -448,7 +448,7 @@ def test_without_a_journal_nothing_is_done_that_no_disk_has() -> None:
 
 
 def test_a_gate_without_a_policy_refuses() -> None:
-    with House() as house:
+    with DemoGate() as house:
         guest = planner(house)
         with pytest.raises(Refused, match="ACTION_OUT_OF_SCOPE"):
             guest.ask(Kind.EMERGENCY, Emergency(key="k", capability="go-safe"))
@@ -457,12 +457,12 @@ def test_a_gate_without_a_policy_refuses() -> None:
 def test_an_emergency_whose_gate_died_is_unknown_once(tmp_path: Path) -> None:
     store, clock = _Kept(MemoryStore()), HandClock()
     road: dict[str, Any] = {"store": store, "clock": clock, "journal": tmp_path / "journal"}
-    with Ward(at="station-103", speed_up=1, **road) as house:
+    with EmergencyGate(at="station-103", speed_up=1, **road) as house:
         house.begin_call(planner(house), "go-safe")
         house.advance(500)
         house.crashes = True
     for _ in range(2):
-        with Ward(**road) as house:
+        with EmergencyGate(**road) as house:
             assert house.told == [("accept", "go-safe"), ("unknown", "go-safe")]
             assert house.road.log.uses(Caller.PLANNER, "go-safe") == (0,)
             house.crashes = True
@@ -472,7 +472,7 @@ def test_a_journaled_emergency_whose_gate_died_is_in_the_log_once(tmp_path: Path
     disk, clock = Disk(), HandClock()
     disk.close = lambda: None  # type: ignore[method-assign] - it outlives its gate
     road: dict[str, Any] = {"store": disk, "clock": clock, "journal": tmp_path / "journal"}
-    with Ward(at="station-103", speed_up=1, **road) as house:
+    with EmergencyGate(at="station-103", speed_up=1, **road) as house:
         guest = planner(house)
         disk.dead = True
         house.begin_call(guest, "go-safe")
@@ -480,7 +480,7 @@ def test_a_journaled_emergency_whose_gate_died_is_in_the_log_once(tmp_path: Path
         house.crashes = True
     disk.dead = False
     for _ in range(2):
-        with Ward(**road) as house:
+        with EmergencyGate(**road) as house:
             assert house.told == [("accept", "go-safe"), ("unknown", "go-safe")]
             assert house.log("emergency")[1].open["journal"] == 1
             assert house.road.log.uses(Caller.PLANNER, "go-safe") == (0,)
@@ -490,7 +490,7 @@ def test_a_journaled_emergency_whose_gate_died_is_in_the_log_once(tmp_path: Path
 def test_what_did_not_fit_the_journal_is_counted_in_the_log_once(tmp_path: Path) -> None:
     disk = Disk()
     often = {**emergency_policies.GO_SAFE, "per_hour": 60}
-    with Ward(often, journal=tmp_path / "journal", store=disk) as house:
+    with EmergencyGate(often, journal=tmp_path / "journal", store=disk) as house:
         guest = planner(house)
         disk.dead = True
         for _ in range(40):  # two records each, and there is room for 64
@@ -508,13 +508,13 @@ def test_a_policy_is_in_the_log_once_until_it_changes() -> None:
     store, clock = _Kept(MemoryStore()), HandClock()
     other = emergency_policies.policy(version=2)
     for value, known in ((None, 1), (None, 1), (other, 2)):
-        with Ward(store=store, clock=clock, policy=value) as house:
+        with EmergencyGate(store=store, clock=clock, policy=value) as house:
             found = [r for r in house.log("emergency") if r.link.decision == "policy"]
             assert len(found) == known
 
 
 def test_without_a_controller_a_call_is_refused_before_anything_is_written() -> None:
-    with Ward(robot=False) as house:
+    with EmergencyGate(robot=False) as house:
         guest = planner(house)
         for _ in range(20):
             answer = house.call(guest, "go-safe")
@@ -528,7 +528,7 @@ def test_without_a_controller_a_call_is_refused_before_anything_is_written() -> 
 
 def test_a_robot_that_does_not_stand_is_sent_nowhere() -> None:
     faults = Faults(ignores_stops=True)
-    with Ward(mission=worlds_mission(), faults=faults, speed_up=1) as house:
+    with EmergencyGate(mission=worlds_mission(), faults=faults, speed_up=1) as house:
         client = planner(house)
         house.activate()
         house.begin(client, GO)
@@ -545,7 +545,7 @@ def test_a_robot_that_does_not_stand_is_sent_nowhere() -> None:
 def test_what_was_true_before_the_robot_stood_is_asked_again() -> None:
     near = emergency_policies.guard("human_distance_mm", "ge", 2_000)
     go = {**emergency_policies.GO_SAFE, "guards": [near]}
-    with Ward(go, mission=worlds_mission(), speed_up=1) as house:
+    with EmergencyGate(go, mission=worlds_mission(), speed_up=1) as house:
         house.activate()
         house.begin(planner(house), GO)
         house.advance(500)
@@ -560,7 +560,7 @@ def test_what_was_true_before_the_robot_stood_is_asked_again() -> None:
 
 def test_a_gate_that_ends_begins_nothing_and_does_not_call_by_itself() -> None:
     always = {**emergency_policies.LET_GO, "guards": [emergency_policies.TRUE]}
-    with Ward(emergency_policies.GO_SAFE, {**always, "id": "mine"}) as house:
+    with EmergencyGate(emergency_policies.GO_SAFE, {**always, "id": "mine"}) as house:
         served = house.service.emergencies
         assert served is not None
         house.advance(500)
@@ -576,7 +576,7 @@ def test_a_gate_that_ends_begins_nothing_and_does_not_call_by_itself() -> None:
 
 def test_only_the_last_answers_and_users_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     bounded(monkeypatch, emergencies, emergency_answers=2, emergency_users=1)
-    with Ward() as house:
+    with EmergencyGate() as house:
         guest = planner(house)
         for key in ("a", "b", "c"):
             house.call(guest, "call-help", key)
@@ -593,7 +593,7 @@ def test_only_the_last_answers_and_users_are_kept(monkeypatch: pytest.MonkeyPatc
 
 def test_an_end_that_nobody_can_write_down_is_said(tmp_path: Path) -> None:
     disk = Disk()
-    with Ward(at="station-103", speed_up=1, store=disk) as house:
+    with EmergencyGate(at="station-103", speed_up=1, store=disk) as house:
         guest = planner(house)
         number = house.begin_call(guest, "go-safe")
         disk.dead = True
@@ -606,14 +606,14 @@ def test_an_end_that_nobody_can_write_down_is_said(tmp_path: Path) -> None:
 
 
 def test_only_an_accepted_call_can_be_begun() -> None:
-    with Ward() as house:
+    with EmergencyGate() as house:
         call = house.road.judge("fly", Caller.PLANNER, "u1.x")
         with pytest.raises(RuntimeError, match="not accepted"):
             house.road.begin(call)
 
 
 def test_a_guard_that_is_false_by_the_time_it_is_on_disk_begins_nothing() -> None:
-    with Ward(at="station-103") as house:
+    with EmergencyGate(at="station-103") as house:
         call = house.road.judge("go-safe", Caller.PLANNER, "u1.x")
         house.clock.ms += 5_000  # a disk that took long
         ended = house.road.begin(call)
@@ -623,7 +623,7 @@ def test_a_guard_that_is_false_by_the_time_it_is_on_disk_begins_nothing() -> Non
 
 
 def test_the_other_orders_leave_a_stop_standing() -> None:
-    with Ward(mission=worlds_mission()) as house:
+    with EmergencyGate(mission=worlds_mission()) as house:
         house.activate()
         house.stop(ClientRole.OPERATOR, 1)
         person = house.enter(ClientRole.OPERATOR, "revokes")
@@ -634,7 +634,7 @@ def test_the_other_orders_leave_a_stop_standing() -> None:
 def test_one_clients_calls_push_out_nobody_elses_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     """Else a flood of refused calls would let an operator's key be carried out a second time."""
     bounded(monkeypatch, emergencies, emergency_answers=2)
-    with Ward(at="station-103", speed_up=1) as house:
+    with EmergencyGate(at="station-103", speed_up=1) as house:
         person, liar = house.enter(ClientRole.OPERATOR, "nurse"), planner(house, "liar")
         number = house.begin_call(person, "go-safe", "mine")
         for key in "abcd":
@@ -653,15 +653,15 @@ def test_one_clients_calls_push_out_nobody_elses_answer(monkeypatch: pytest.Monk
 
 def stands(store: Store, clock: HandClock, *capabilities: dict[str, Any]) -> bool:
     """Return whether a gate with a policy that begins on a store holds to an operator's stop."""
-    with Ward(
+    with EmergencyGate(
         *capabilities, store=store, clock=clock, at="station-103", mission=worlds_mission()
     ) as house:
         return house.call(planner(house), "go-safe")["reasons"] == ["STOPPED"]
 
 
-def plain_house(store: Store, clock: HandClock) -> House:
+def plain_house(store: Store, clock: HandClock) -> DemoGate:
     """Return a gate of the same robot without an emergency policy."""
-    return House(
+    return DemoGate(
         store=store,
         clock=clock,
         site=emergency_policies.site(),
@@ -689,7 +689,7 @@ def test_a_stop_that_a_gate_without_a_policy_heard_stands_at_the_next_with_one(
 
 def test_a_stop_that_was_recorded_while_the_gate_was_off_stands() -> None:
     store, clock = _Kept(MemoryStore()), HandClock()
-    with House(store=store, clock=clock, robot=False, estimator=False, **_SITE) as house:
+    with DemoGate(store=store, clock=clock, robot=False, estimator=False, **_SITE) as house:
         house.gate.enforcer.stop(by="operator", is_planner=False, suspends=True)  # type: ignore[arg-type]
     assert stands(store, clock)
 
@@ -728,7 +728,7 @@ def test_others_stops_do_not_stand() -> None:
 
 def test_a_stop_that_no_disk_took_stands_until_one_does(tmp_path: Path) -> None:
     disk = Disk()
-    with Ward(at="station-103", store=disk, journal=tmp_path / "journal") as house:
+    with EmergencyGate(at="station-103", store=disk, journal=tmp_path / "journal") as house:
         guest = planner(house)
         disk.dead = True
         house.stop(ClientRole.OPERATOR, 1)
@@ -753,7 +753,7 @@ def test_uses_of_before_a_power_cut_count_for_an_hour_from_now() -> None:
         house.gate.ledger.run(lambda act: act.put("emergency", "state", used))
         house.crashes = True
     twice = {**emergency_policies.GO_SAFE, "per_hour": 2}
-    with Ward(twice, store=store, clock=clock, at="station-103") as house:
+    with EmergencyGate(twice, store=store, clock=clock, at="station-103") as house:
         for caller in Caller:  # an older gate's uses were anybody's
             uses = house.road.log.uses(caller, "go-safe")
             assert uses == (1, 5_000)  # none is still to come, none is gone
@@ -764,7 +764,9 @@ def test_what_the_journal_had_is_told_once_when_the_store_comes_back_at_the_end(
     tmp_path: Path,
 ) -> None:
     disk = Disk()
-    with Ward(at="station-103", speed_up=1, journal=tmp_path / "journal", store=disk) as house:
+    with EmergencyGate(
+        at="station-103", speed_up=1, journal=tmp_path / "journal", store=disk
+    ) as house:
         disk.dead = True
         call = house.road.judge("go-safe", Caller.OPERATOR, "u1.nurse")  # type: ignore[arg-type]
         begun = house.road.begin(call)
@@ -784,7 +786,7 @@ def always(**changes: Any) -> dict[str, Any]:
 
 
 def test_what_the_gate_could_not_begin_is_begun_when_its_controller_is_there() -> None:
-    with Ward(always(), at="station-103", robot=False) as house:
+    with EmergencyGate(always(), at="station-103", robot=False) as house:
         house.advance(5_000)
         assert (house.told, house.log("refusal")) == ([], [])
         house.connect_robot()
@@ -796,7 +798,7 @@ def test_what_the_gate_could_not_begin_is_begun_when_its_controller_is_there() -
 
 def test_what_the_gate_could_not_begin_is_called_once_a_second_and_no_oftener() -> None:
     disk = Disk()
-    made = Ward(always(without=["mission"]), at="station-103", store=disk)
+    made = EmergencyGate(always(without=["mission"]), at="station-103", store=disk)
     told: list[dict[str, Any]] = []
     road = made.service.emergencies
     assert road is not None
@@ -815,7 +817,7 @@ def test_what_the_gate_could_not_begin_is_called_once_a_second_and_no_oftener() 
 
 def test_status_says_that_a_stop_stands_and_what_became_of_emergencies() -> None:
     store, clock = _Kept(MemoryStore()), HandClock()
-    with Ward(at="station-103", speed_up=1, store=store, clock=clock) as house:
+    with EmergencyGate(at="station-103", speed_up=1, store=store, clock=clock) as house:
         auditor = house.enter(ClientRole.AUDITOR)
         shown = auditor.ask(Kind.STATUS)
         assert shown["stop_stands"] is False
@@ -827,7 +829,7 @@ def test_status_says_that_a_stop_stands_and_what_became_of_emergencies() -> None
         house.stop(ClientRole.OPERATOR, 1)
         assert auditor.ask(Kind.STATUS)["stop_stands"] is True
         house.crashes = True
-    with Ward(store=store, clock=clock) as house:
+    with EmergencyGate(store=store, clock=clock) as house:
         shown = house.enter(ClientRole.AUDITOR).ask(Kind.STATUS)
         assert (shown["stop_stands"], shown["emergency"]["unknown"]) == (True, ["go-safe"])
 
@@ -835,7 +837,9 @@ def test_status_says_that_a_stop_stands_and_what_became_of_emergencies() -> None
 def test_status_names_an_emergency_that_nobody_knows_the_end_of() -> None:
     store, clock = _Kept(MemoryStore()), HandClock()
     faults = Faults(ignores_stops=True)
-    with Ward(at="station-103", speed_up=1, store=store, clock=clock, faults=faults) as house:
+    with EmergencyGate(
+        at="station-103", speed_up=1, store=store, clock=clock, faults=faults
+    ) as house:
         auditor, guest = house.enter(ClientRole.AUDITOR), planner(house)
         number = house.begin_call(guest, "go-safe")
         house.advance(500)

@@ -32,12 +32,12 @@ from authguard_r.wire.messages import (
     Stood,
 )
 from fixtures import scenarios, templates
-from unit.server.demo_site import FORBIDDEN, GO, SCAN, Guest, House, Refused, reasons
+from unit.server.demo_site import FORBIDDEN, GO, SCAN, DemoGate, Guest, Refused, reasons
 
 TICKET = "A" * 43
 
 
-def order(house: House, act: OrderKind, token: bytes) -> dict[str, Any]:
+def order(house: DemoGate, act: OrderKind, token: bytes) -> dict[str, Any]:
     operator = house.enter(ClientRole.OPERATOR)
     answer = operator.ask(Kind.ORDER, Order(act=act, token=token))
     operator.leave()
@@ -59,7 +59,7 @@ def order(house: House, act: OrderKind, token: bytes) -> dict[str, Any]:
 def test_a_body_that_is_none_is_answered_and_recorded_and_the_client_stays(
     role: ClientRole, kind: Kind
 ) -> None:
-    with House(robot=False, estimator=False) as house:
+    with DemoGate(robot=False, estimator=False) as house:
         client = house.enter(role)
         for number in (1, 2):
             house.send(client, raw_frame(kind, number, b'{"authority":"all"}'))
@@ -73,7 +73,7 @@ def test_a_body_that_is_none_is_answered_and_recorded_and_the_client_stays(
 
 
 def test_a_fault_of_ours_is_an_answer_and_everybody_is_served_on() -> None:
-    with House() as house:
+    with DemoGate() as house:
         operator, other = house.enter(ClientRole.OPERATOR), house.enter(ClientRole.AUDITOR)
         house.gate.ledger.store._rows.append(None)  # a world that no code of ours expects
         with pytest.raises(Refused) as refused:
@@ -88,7 +88,7 @@ def test_a_fault_of_ours_is_an_answer_and_everybody_is_served_on() -> None:
 
 
 def test_a_snapshot_is_taken_in_once_and_its_replay_leaves_the_last_in_force() -> None:
-    with House(robot=False) as house:
+    with DemoGate(robot=False) as house:
         assert house.estimator is not None
         taken = house.gate.enforcer.intake.newest
         house.advance(200)
@@ -119,7 +119,7 @@ def test_a_snapshot_is_taken_in_once_and_its_replay_leaves_the_last_in_force() -
 
 
 def test_a_snapshot_before_any_other_that_is_forged_gives_no_state() -> None:
-    with House(robot=False, estimator=False) as house:
+    with DemoGate(robot=False, estimator=False) as house:
         estimator = house.enter(ClientRole.ESTIMATOR)
         with pytest.raises(Refused):
             estimator.ask(Kind.SNAPSHOT, Attest(token=b"{}"))
@@ -130,7 +130,7 @@ def test_a_snapshot_before_any_other_that_is_forged_gives_no_state() -> None:
 
 
 def test_every_order_is_the_signature_of_its_token_not_the_role_that_hands_it_in() -> None:
-    with House(robot=False) as house:
+    with DemoGate(robot=False) as house:
         operator = house.enter(ClientRole.OPERATOR)
         forged = sign_object(scenarios.mission(), Tag.MISSION, house.signer("supervisor-1"))
         with pytest.raises(Refused) as refused:
@@ -142,7 +142,7 @@ def test_every_order_is_the_signature_of_its_token_not_the_role_that_hands_it_in
 
 
 def test_a_command_ends_what_runs_at_once() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         number = house.begin(planner, GO)
@@ -155,7 +155,7 @@ def test_a_command_ends_what_runs_at_once() -> None:
 
 
 def test_a_choice_is_handed_in() -> None:
-    with House(robot=False) as house:
+    with DemoGate(robot=False) as house:
         mission = house.activate()
         value = Selection(
             mid=mission.mid,
@@ -174,7 +174,7 @@ def test_a_choice_is_handed_in() -> None:
 
 
 def test_an_approval_is_kept_and_says_which_question_it_answers() -> None:
-    with House(robot=False) as house:
+    with DemoGate(robot=False) as house:
         mission = house.activate()
         told: list[dict[str, Any]] = []
         watcher = house.enter(ClientRole.AUDITOR)
@@ -202,7 +202,7 @@ def test_an_approval_is_kept_and_says_which_question_it_answers() -> None:
 
 
 def test_a_template_is_taken_in_and_withdrawn_with_the_mission_that_it_made() -> None:
-    with House(robot=False, trust=templates.one_folder()) as house:
+    with DemoGate(robot=False, trust=templates.one_folder()) as house:
         kept = order(house, OrderKind.TEMPLATE, templates.signed())["standing"]
         assert (kept["used"], kept["withdrawn"]) == (0, False)
         made = order(house, OrderKind.ACTIVATE, templates.token())["standing"]
@@ -217,7 +217,7 @@ def test_a_template_is_taken_in_and_withdrawn_with_the_mission_that_it_made() ->
 
 
 def test_an_order_that_is_refused_looks_at_what_runs_all_the_same() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         number = house.begin(planner, GO)
@@ -232,7 +232,7 @@ def test_an_order_that_is_refused_looks_at_what_runs_all_the_same() -> None:
 
 
 def test_nothing_streams_and_nobody_is_obeyed_where_there_is_no_controller() -> None:
-    with House(mode=Mode.SHADOW) as house:
+    with DemoGate(mode=Mode.SHADOW) as house:
         planner = house.enter(ClientRole.PLANNER)
         for kind, body in (
             (Kind.SAMPLE, Sample(ticket=TICKET, params={})),
@@ -254,7 +254,7 @@ def test_nothing_streams_and_nobody_is_obeyed_where_there_is_no_controller() -> 
 
 
 def test_who_watches_is_told_of_decisions_outcomes_stops_orders_and_clients() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner, auditor = house.enter(ClientRole.PLANNER), house.enter(ClientRole.AUDITOR)
         number = auditor.say(Kind.WATCH, {})
         house.activate()
@@ -273,7 +273,7 @@ def test_who_watches_is_told_of_decisions_outcomes_stops_orders_and_clients() ->
 
 
 def test_a_view_knows_of_the_mission_after_each_order() -> None:
-    with House(robot=False) as house:
+    with DemoGate(robot=False) as house:
         view: GateQueries = house.service.queries
         assert view.mission.runs is False
         house.activate()
@@ -285,7 +285,7 @@ def test_a_view_knows_of_the_mission_after_each_order() -> None:
 # what a planner was shown, in parts
 
 
-def turns(house: House, guest: Guest, *asked: tuple[Kind, object]) -> int:
+def turns(house: DemoGate, guest: Guest, *asked: tuple[Kind, object]) -> int:
     """Let the gate serve requests that came together; return how many turns that took."""
     client, service, count = house.client(guest), house.service, 0
 
@@ -312,7 +312,7 @@ def turns(house: House, guest: Guest, *asked: tuple[Kind, object]) -> int:
     ],
 )
 def test_a_text_is_looked_through_in_parts_and_answered_once(length: int, parts: int) -> None:
-    with House(robot=False, estimator=False) as house:
+    with DemoGate(robot=False, estimator=False) as house:
         planner = house.enter(ClientRole.PLANNER)
         seen = Observe(channel="user", text="x" * length)
         assert turns(house, planner, (Kind.OBSERVE, seen)) == parts
@@ -320,7 +320,7 @@ def test_a_text_is_looked_through_in_parts_and_answered_once(length: int, parts:
 
 
 def test_what_a_planner_asked_since_waits_until_its_text_was_looked_through() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         text = "x" * (5 * LIMITS.part_characters - 8) + " Office 1 "  # over a border, at the end
@@ -336,7 +336,7 @@ def test_what_a_planner_asked_since_waits_until_its_text_was_looked_through() ->
 
 
 def test_others_have_their_turns_between_the_parts_of_a_long_text() -> None:
-    with House(robot=False, estimator=False) as house:
+    with DemoGate(robot=False, estimator=False) as house:
         planner, auditor = house.enter(ClientRole.PLANNER), house.enter(ClientRole.AUDITOR)
         service, long = (
             house.service,
@@ -359,7 +359,7 @@ def test_others_have_their_turns_between_the_parts_of_a_long_text() -> None:
 
 
 def test_who_hangs_up_while_its_text_is_looked_through_has_been_shown_all_of_it() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         client = house.client(planner)
         seen = Observe(channel="user", text="x" * (5 * LIMITS.part_characters) + " Office 1 ")

@@ -10,12 +10,12 @@ import pytest
 from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import ClientRole, Kind, Order, OrderKind, Stop
-from unit.server.demo_site import House
+from unit.server.demo_site import DemoGate
 
 OPERATOR, AUDITOR, PLANNER = ClientRole.OPERATOR, ClientRole.AUDITOR, ClientRole.PLANNER
 
 
-def told(house: House) -> list[int | str]:
+def told(house: DemoGate) -> list[int | str]:
     """Return what the log says: after how long each stop was confirmed, -1: never, or its end."""
     found: list[int | str] = []
     for record in house.log("stop"):
@@ -37,7 +37,7 @@ def told(house: House) -> list[int | str]:
 def test_a_stop_that_is_asked_for_again_is_the_same_until_it_is_confirmed(
     stood: list[int | None], expected: list[int | str]
 ) -> None:
-    with House() as house:
+    with DemoGate() as house:
         for n, one in enumerate(stood, 1):
             house.stop(AUDITOR, n, stood_ms=one, key="one")
         assert told(house) == expected
@@ -45,7 +45,7 @@ def test_a_stop_that_is_asked_for_again_is_the_same_until_it_is_confirmed(
 
 @pytest.mark.parametrize("other", [{"key": "two"}, {"key": ""}, {"uid": 6}, {"role": PLANNER}])
 def test_another_name_user_or_role_is_another_stop(other: dict[str, Any]) -> None:
-    with House() as house:
+    with DemoGate() as house:
         house.stop(AUDITOR, 1, stood_ms=None, key="one")
         given = {"role": AUDITOR, "key": "one"} | other
         house.stop(given.pop("role"), 2, stood_ms=None, **given)
@@ -53,7 +53,7 @@ def test_another_name_user_or_role_is_another_stop(other: dict[str, Any]) -> Non
 
 
 def test_a_name_is_the_same_stop_for_a_while_after_it_was_last_asked_for() -> None:
-    with House() as house:
+    with DemoGate() as house:
         house.stop(AUDITOR, 1, stood_ms=None, key="one")
         for n in (2, 3):
             house.advance(LIMITS.same_stop_ms - 500)
@@ -67,7 +67,7 @@ def test_a_name_is_the_same_stop_for_a_while_after_it_was_last_asked_for() -> No
 def test_a_planners_stop_that_is_confirmed_at_last_ends_the_alert_and_has_no_second_record() -> (
     None
 ):
-    with House() as house:
+    with DemoGate() as house:
         house.stop(PLANNER, 1, stood_ms=None, key="one")
         house.stop(PLANNER, 2, stood_ms=40, key="one")
         assert told(house) == [-1]
@@ -76,7 +76,7 @@ def test_a_planners_stop_that_is_confirmed_at_last_ends_the_alert_and_has_no_sec
 
 
 def test_an_operators_stop_that_is_asked_for_still_suspends_what_was_resumed() -> None:
-    with House() as house:
+    with DemoGate() as house:
         house.activate()
         house.stop(OPERATOR, 1, stood_ms=None, key="one")
         assert house.standing.status == "suspended"
@@ -90,7 +90,7 @@ def test_an_operators_stop_that_is_asked_for_still_suspends_what_was_resumed() -
 
 def test_a_gate_that_is_asked_again_before_it_has_written_writes_what_was_said_last() -> None:
     """No controller is connected at first; what follows within a second is one record."""
-    with House(robot=False) as house:
+    with DemoGate(robot=False) as house:
         hand = house.enter(AUDITOR)
         for _ in range(2):
             number = hand.say(Kind.STOP, Stop(why="a child", key="one"))
@@ -103,7 +103,7 @@ def test_a_gate_that_is_asked_again_before_it_has_written_writes_what_was_said_l
 
 
 def test_a_late_word_of_a_try_before_the_confirmation_is_no_other_stop() -> None:
-    with House() as house:
+    with DemoGate() as house:
         told_by_gate(house, None)
         house.stop(AUDITOR, 1, stood_ms=40, key="one")
         for _ in range(2):
@@ -114,7 +114,7 @@ def test_a_late_word_of_a_try_before_the_confirmation_is_no_other_stop() -> None
         assert told(house) == [-1, "confirms 40", 50]
 
 
-def told_by_gate(house: House, stood_ms: int | None) -> None:
+def told_by_gate(house: DemoGate, stood_ms: int | None) -> None:
     """Let the gate tell of a stop that it carried out itself."""
     client = house.client(house.enter(AUDITOR, "auditor"))
     client.uid = 5  # the lane's auditor
@@ -123,7 +123,7 @@ def told_by_gate(house: House, stood_ms: int | None) -> None:
 
 
 def test_an_operators_stop_that_joins_another_suspends_what_was_resumed_meanwhile() -> None:
-    with House(robot=False) as house:
+    with DemoGate(robot=False) as house:
         house.connect_robot()
         house.desk = None  # it hangs
         house.activate()
@@ -142,7 +142,7 @@ def test_an_operators_stop_that_joins_another_suspends_what_was_resumed_meanwhil
 def test_a_stop_that_is_confirmed_before_its_record_says_after_how_long_since_the_first_try() -> (
     None
 ):
-    with House(robot=False) as house:
+    with DemoGate(robot=False) as house:
         hand = house.enter(AUDITOR)
         hand.say(Kind.STOP, Stop(why="", key="one"))
         house.advance(LIMITS.stop_answer_ms // 2)

@@ -13,11 +13,11 @@ from authguard_r.server.lease_registry import LeaseRegistry
 from authguard_r.sim.robot import Faults
 from authguard_r.wire.messages import ClientRole, Dispatch, Ended, Kind, Mode, Order, OrderKind
 from fixtures import scenarios
-from unit.server.demo_site import GO, SCAN, Guest, House, reasons, ticket_of
+from unit.server.demo_site import GO, SCAN, DemoGate, Guest, reasons, ticket_of
 from unit.sim.desks import framed
 
 
-def walking(house: House) -> tuple[Guest, int]:
+def walking(house: DemoGate) -> tuple[Guest, int]:
     """Return a planner and its request, half a second into a walk."""
     planner = house.enter(ClientRole.PLANNER)
     house.activate()
@@ -26,7 +26,7 @@ def walking(house: House) -> tuple[Guest, int]:
     return planner, number
 
 
-def renewals(house: House) -> int:
+def renewals(house: DemoGate) -> int:
     """Return how many renewals the controller gets in the next half second."""
     assert house.controller is not None
     count = 0
@@ -41,7 +41,7 @@ def renewals(house: House) -> int:
 
 
 def test_a_lease_is_renewed_only_while_it_holds() -> None:
-    with House(faults=Faults(ignores_stops=True)) as house:
+    with DemoGate(faults=Faults(ignores_stops=True)) as house:
         planner, number = walking(house)
         assert renewals(house) >= 10
         house.stop(ClientRole.OPERATOR, 1)
@@ -62,7 +62,7 @@ def test_a_lease_is_renewed_only_while_it_holds() -> None:
 def test_what_breaks_its_lease_is_stopped_and_the_log_says_when_it_stood(
     faults: Faults, reason: str
 ) -> None:
-    with House(faults=faults) as house:
+    with DemoGate(faults=faults) as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         (step,) = house.rest(planner, house.begin(planner, GO))["steps"]
@@ -75,7 +75,7 @@ def test_what_breaks_its_lease_is_stopped_and_the_log_says_when_it_stood(
 
 
 def test_a_robot_that_does_not_say_that_it_stands_suspends_its_mission() -> None:
-    with House(faults=Faults(answers_late_ms=60_000), stand_within_ms=1_000) as house:
+    with DemoGate(faults=Faults(answers_late_ms=60_000), stand_within_ms=1_000) as house:
         planner, number = walking(house)
         (step,) = house.rest(planner, number)["steps"]
         assert step["execution"]["outcome"] == "unknown"
@@ -89,7 +89,7 @@ def test_a_robot_that_does_not_say_that_it_stands_suspends_its_mission() -> None
 
 def test_a_controller_that_is_busy_after_the_commit_gives_all_back_that_the_release_took() -> None:
     """The start of its grant and the mission's actions alike: nothing of it was begun."""
-    with House() as house:
+    with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         before = house.standing
@@ -115,7 +115,7 @@ def test_a_controller_that_is_busy_after_the_commit_gives_all_back_that_the_rele
 
 
 def test_an_outcome_is_told_once_however_often_it_is_said() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner, number = walking(house)
         ended = Ended(ticket=ticket_of(house), outcome=Outcome.FAILED)
         assert house.controller is not None
@@ -126,7 +126,7 @@ def test_an_outcome_is_told_once_however_often_it_is_said() -> None:
 
 
 def test_what_is_open_can_be_listed_until_it_has_ended() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner, number = walking(house)
         (lease,) = house.service.leases.leases()
         assert (lease.ticket, lease.action) == (ticket_of(house), "navigate")
@@ -136,7 +136,7 @@ def test_what_is_open_can_be_listed_until_it_has_ended() -> None:
 
 
 def test_nobody_has_to_be_told_where_there_is_no_controller() -> None:
-    with House(mode=Mode.SHADOW) as house:
+    with DemoGate(mode=Mode.SHADOW) as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         number = house.begin(planner, SCAN)

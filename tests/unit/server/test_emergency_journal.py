@@ -20,14 +20,14 @@ from authguard_r.wire.messages import ClientRole, Kind
 from fixtures import emergency_policies, scenarios
 from fixtures.emergency_files import forge, record
 from unit.server.demo_site import HandClock
-from unit.server.test_rescues import Disk, Ward, _Kept, planner
+from unit.server.test_emergencies import Disk, EmergencyGate, _Kept, planner
 
 OFTEN = {**emergency_policies.GO_SAFE, "per_hour": 60}
 
 
 def begins(path: Path, **more: Any) -> tuple[list[tuple[str, str]], list[dict[str, Any]]]:
     """Return what the log says of emergencies, and its alerts, after a gate has started."""
-    with Ward(OFTEN, journal=path, **more) as house:
+    with EmergencyGate(OFTEN, journal=path, **more) as house:
         shown = house.enter(ClientRole.AUDITOR).ask(Kind.STATUS)["alerts"]
         assert [alert for alert in shown if alert["what"] == STRANGE] == house.alerts[-1:]
         assert house.call(planner(house), "go-safe")["execution"]["outcome"] == "succeeded"
@@ -37,7 +37,7 @@ def begins(path: Path, **more: Any) -> tuple[list[tuple[str, str]], list[dict[st
 
 def pending(path: Path, store: Disk, clock: HandClock) -> bytes:
     """Let an emergency go into the journal, kill the gate, and return the file."""
-    with Ward(OFTEN, at="station-103", journal=path, store=store, clock=clock) as house:
+    with EmergencyGate(OFTEN, at="station-103", journal=path, store=store, clock=clock) as house:
         store.dead = True
         assert house.call(planner(house), "go-safe")["execution"]["outcome"] == "succeeded"
         house.crashes = True
@@ -78,7 +78,7 @@ def test_what_another_store_of_the_same_gate_left_is_not_believed(
 
 
 def test_what_another_key_of_the_same_robot_left_is_not_believed(tmp_path: Path) -> None:
-    with Ward() as house:
+    with EmergencyGate() as house:
         ledger = house.gate.ledger
         journal = open_journal(tmp_path / "journal", ledger, house.signer("operator-1"))
         journal.append(record(1), heard=0)
@@ -108,7 +108,7 @@ def test_a_file_that_is_put_back_brings_nothing_into_the_log_twice(
     path.unlink()
     begins(path, store=disk, clock=clock)
     path.write_bytes(old)
-    with Ward(OFTEN, journal=path, store=disk, clock=clock) as house:
+    with EmergencyGate(OFTEN, journal=path, store=disk, clock=clock) as house:
         assert len(house.told) == 8
         assert len(house.road.log.uses(Caller.PLANNER, "go-safe")) == 4
 

@@ -18,13 +18,13 @@ from authguard_r.enforcement.emergency_enforcer import EmergencyReport
 from authguard_r.wire.messages import ClientRole
 from fixtures import emergency_policies
 from unit.server.demo_site import GO, SCAN, STEP_MS, Guest
+from unit.server.test_emergencies import Disk, EmergencyGate, always, planner, worlds_mission
 from unit.server.test_fences import deaf
-from unit.server.test_rescues import Disk, Ward, always, planner, worlds_mission
 
 NEAR = emergency_policies.guard("human_distance_mm", "le", 1_500)
 
 
-def walking(house: Ward) -> Guest:
+def walking(house: EmergencyGate) -> Guest:
     """Let the mission's robot walk, faster than the emergency capability lets it."""
     guest = planner(house)
     house.activate()
@@ -34,16 +34,18 @@ def walking(house: Ward) -> Guest:
     return guest
 
 
-def uses(house: Ward, caller: Caller = Caller.OPERATOR, capability: str = "go-safe") -> int:
+def uses(
+    house: EmergencyGate, caller: Caller = Caller.OPERATOR, capability: str = "go-safe"
+) -> int:
     return len(house.road.log.uses(caller, capability))
 
 
-def see(house: Ward, **changes: Any) -> None:
+def see(house: EmergencyGate, **changes: Any) -> None:
     house.robot.state = msgspec.structs.replace(house.robot.state, **changes)
 
 
 def test_a_robot_that_was_too_fast_is_helped_once_newer_state_shows_that_it_stands() -> None:
-    with Ward(mission=worlds_mission(), speed_up=1) as house:
+    with EmergencyGate(mission=worlds_mission(), speed_up=1) as house:
         walking(house)
         person = house.enter(ClientRole.OPERATOR, "nurse")
         with deaf(house):
@@ -59,7 +61,7 @@ def test_a_robot_that_was_too_fast_is_helped_once_newer_state_shows_that_it_stan
 
 @pytest.mark.parametrize("wait_ms", [0, 700])
 def test_a_call_is_refused_when_no_newer_state_comes_in_time(wait_ms: int) -> None:
-    with Ward(mission=worlds_mission(), speed_up=1, state_wait_ms=wait_ms) as house:
+    with EmergencyGate(mission=worlds_mission(), speed_up=1, state_wait_ms=wait_ms) as house:
         walking(house)
         guest = planner(house, "caller")
         with deaf(house):
@@ -76,7 +78,7 @@ def test_a_call_is_refused_when_no_newer_state_comes_in_time(wait_ms: int) -> No
 
 
 def test_a_call_right_after_a_motion_waits_and_is_no_false_emergency() -> None:
-    with Ward(mission=worlds_mission(), at="station-103") as house:
+    with EmergencyGate(mission=worlds_mission(), at="station-103") as house:
         guest = planner(house)
         house.activate()
         house.propose(guest, SCAN)
@@ -90,7 +92,7 @@ def test_a_call_right_after_a_motion_waits_and_is_no_false_emergency() -> None:
 
 
 def test_a_false_call_is_refused_at_once_whatever_the_fence_is() -> None:
-    with Ward() as house, deaf(house):
+    with EmergencyGate() as house, deaf(house):
         house.gate.ledger.raise_fence()
         assert house.call(planner(house), "call-help")["reasons"] == ["GUARD_FALSE"]
         assert [alert["what"] for alert in house.alerts] == ["false emergency"]
@@ -99,7 +101,9 @@ def test_a_false_call_is_refused_at_once_whatever_the_fence_is() -> None:
 def test_what_newer_state_shows_to_be_no_emergency_is_refused_without_a_record_of_its_begin() -> (
     None
 ):
-    with Ward({**emergency_policies.GO_SAFE, "guards": [NEAR]}, mission=worlds_mission()) as house:
+    with EmergencyGate(
+        {**emergency_policies.GO_SAFE, "guards": [NEAR]}, mission=worlds_mission()
+    ) as house:
         see(house, human_distance_mm=1_400)
         house.advance(STEP_MS)
         guest = planner(house)
@@ -112,7 +116,7 @@ def test_what_newer_state_shows_to_be_no_emergency_is_refused_without_a_record_o
 
 
 def test_the_last_look_before_the_robot_is_sent_counts_newer_state_alone() -> None:
-    with Ward(at="station-103") as house:
+    with EmergencyGate(at="station-103") as house:
         call = house.road.judge("go-safe", Caller.PLANNER, "u1.x", stands=True)  # type: ignore[arg-type]
         house.gate.ledger.raise_fence()
         ended = house.road.begin(call)
@@ -127,7 +131,7 @@ def test_an_end_that_comes_into_the_log_now_makes_the_next_call_wait_and_not_fai
 ) -> None:
     """The record of an end raises the fence; of what the journal had, that is now."""
     disk = Disk()
-    with Ward(at="station-103", journal=tmp_path / "journal", store=disk) as house:
+    with EmergencyGate(at="station-103", journal=tmp_path / "journal", store=disk) as house:
         guest = planner(house)
         disk.dead = True
         assert house.call(guest, "go-safe")["execution"]["outcome"] == "succeeded"
@@ -137,7 +141,7 @@ def test_an_end_that_comes_into_the_log_now_makes_the_next_call_wait_and_not_fai
 
 
 def test_a_second_gate_that_lacks_newer_state_makes_a_call_wait_and_no_other_hazard_does() -> None:
-    with Ward(at="station-103") as house:
+    with EmergencyGate(at="station-103") as house:
         house.gate.ledger.raise_fence()
         call = house.road.judge("go-safe", Caller.PLANNER, "u1.x")  # type: ignore[arg-type]
         older = msgspec.structs.replace(call.scene, state=house.gate.enforcer.intake.state)
@@ -154,7 +158,7 @@ def test_a_second_gate_that_lacks_newer_state_makes_a_call_wait_and_no_other_haz
 
 
 def test_while_the_emergency_action_runs_only_the_age_of_state_counts() -> None:
-    with Ward(at="station-103", speed_up=1) as house:
+    with EmergencyGate(at="station-103", speed_up=1) as house:
         guest = planner(house)
         number = house.begin_call(guest, "go-safe")
         house.advance(1_000)
@@ -166,7 +170,7 @@ def test_while_the_emergency_action_runs_only_the_age_of_state_counts() -> None:
 
 
 def test_a_stop_refuses_a_call_that_waits_for_state() -> None:
-    with Ward(at="station-103") as house:
+    with EmergencyGate(at="station-103") as house:
         guest = planner(house)
         with deaf(house):
             house.gate.ledger.raise_fence()
@@ -177,7 +181,7 @@ def test_a_stop_refuses_a_call_that_waits_for_state() -> None:
 
 
 def test_a_controller_that_goes_away_meanwhile_refuses_a_call_that_waits_for_state() -> None:
-    with Ward(at="station-103") as house:
+    with EmergencyGate(at="station-103") as house:
         guest = planner(house)
         with deaf(house):
             house.gate.ledger.raise_fence()
@@ -194,7 +198,7 @@ def test_a_controller_that_goes_away_meanwhile_refuses_a_call_that_waits_for_sta
 
 def test_the_gate_stops_no_mission_for_guards_that_hold_on_older_state_alone() -> None:
     mine = always(guards=[NEAR], callers=["gate"])
-    with Ward(mine, mission=worlds_mission(), speed_up=1) as house:
+    with EmergencyGate(mine, mission=worlds_mission(), speed_up=1) as house:
         walking(house)
         with deaf(house):
             see(house, human_distance_mm=1_400)
@@ -208,7 +212,7 @@ def test_the_gate_stops_no_mission_for_guards_that_hold_on_older_state_alone() -
 
 
 def test_the_gate_does_not_call_again_because_its_own_motion_made_state_older() -> None:
-    with Ward(always(), at="station-103") as house:
+    with EmergencyGate(always(), at="station-103") as house:
         house.advance(20_000)
         assert house.told == [("accept", "mine"), ("succeeded", "mine")]
         for _ in range(3):

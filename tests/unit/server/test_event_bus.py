@@ -17,11 +17,11 @@ from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.json_log import MOST_LINES
 from authguard_r.wire.messages import ClientRole, Kind
 from fixtures.estop_fixtures import until
-from unit.server.demo_site import FORBIDDEN, SCAN, House
+from unit.server.demo_site import FORBIDDEN, SCAN, DemoGate
 
 
 def test_an_alert_is_a_record_an_event_and_a_line() -> None:
-    with House(robot=False) as house:
+    with DemoGate(robot=False) as house:
         watcher = house.enter(ClientRole.AUDITOR)
         other = house.enter(ClientRole.AUDITOR, "other")
         number = watcher.say(Kind.WATCH, {})
@@ -36,7 +36,7 @@ def test_an_alert_is_a_record_an_event_and_a_line() -> None:
 
 
 def test_an_alert_that_cannot_be_recorded_is_told_all_the_same() -> None:
-    with House(robot=False, estimator=False) as house:
+    with DemoGate(robot=False, estimator=False) as house:
         watcher = house.enter(ClientRole.AUDITOR)
         number = watcher.say(Kind.WATCH, {})
         house.do(house.gate.ledger.store.close)
@@ -46,7 +46,7 @@ def test_an_alert_that_cannot_be_recorded_is_told_all_the_same() -> None:
 
 
 def test_a_clock_behind_leaves_events_without_a_time() -> None:
-    with House(robot=False, estimator=False) as house:
+    with DemoGate(robot=False, estimator=False) as house:
         watcher = house.enter(ClientRole.AUDITOR)
         number = watcher.say(Kind.WATCH, {})
         house.clock.ms -= 3_600_000
@@ -56,7 +56,7 @@ def test_a_clock_behind_leaves_events_without_a_time() -> None:
 
 
 def test_the_journal_holds_no_content_of_a_mission() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.enter(ClientRole.AUDITOR).say(Kind.WATCH, {})
         house.activate()

@@ -10,11 +10,11 @@ import msgspec
 from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import ClientRole, Kind, Mode
 from fixtures import scenarios
-from unit.server.demo_site import FORBIDDEN, GO, SCAN, UNREADABLE, House, page
+from unit.server.demo_site import FORBIDDEN, GO, SCAN, UNREADABLE, DemoGate, page
 
 
 def test_status_without_a_mission_says_so() -> None:
-    with House(robot=False, estimator=False) as house:
+    with DemoGate(robot=False, estimator=False) as house:
         status = house.enter(ClientRole.AUDITOR).ask(Kind.STATUS)
         assert status["mission"] is None
         assert (status["robot"], status["mode"], status["leases"]) == (scenarios.RID, "enforce", [])
@@ -23,7 +23,7 @@ def test_status_without_a_mission_says_so() -> None:
 
 
 def test_status_with_a_mission_says_how_far_it_is_and_what_runs() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner, auditor = house.enter(ClientRole.PLANNER), house.enter(ClientRole.AUDITOR)
         house.activate()
         house.begin(planner, GO)
@@ -47,7 +47,7 @@ def test_status_with_a_mission_says_how_far_it_is_and_what_runs() -> None:
 
 
 def test_status_says_when_a_mission_closes() -> None:
-    with House(robot=False) as house:
+    with DemoGate(robot=False) as house:
         house.activate()
         ending = msgspec.convert(
             {
@@ -66,7 +66,7 @@ def test_status_says_when_a_mission_closes() -> None:
 
 
 def test_metrics_count_and_hold_no_content_of_a_mission() -> None:
-    with House() as house:
+    with DemoGate() as house:
         planner, auditor = house.enter(ClientRole.PLANNER), house.enter(ClientRole.AUDITOR)
         house.activate()
         house.propose(planner, SCAN)
@@ -86,7 +86,7 @@ def test_metrics_count_and_hold_no_content_of_a_mission() -> None:
 
 
 def test_what_was_released_and_not_begun_counts_as_such() -> None:
-    with House(robot=False) as house:
+    with DemoGate(robot=False) as house:
         planner, auditor = house.enter(ClientRole.PLANNER), house.enter(ClientRole.AUDITOR)
         house.activate()
         (step,) = house.propose(planner, SCAN)["steps"]
@@ -95,7 +95,7 @@ def test_what_was_released_and_not_begun_counts_as_such() -> None:
 
 
 def test_a_page_of_the_log_is_whole_records_and_never_longer_than_a_page() -> None:
-    with House(mode=Mode.SHADOW) as house:
+    with DemoGate(mode=Mode.SHADOW) as house:
         planner, auditor = house.enter(ClientRole.PLANNER), house.enter(ClientRole.AUDITOR)
         house.activate()
         every = page(auditor)
@@ -114,9 +114,9 @@ def test_a_page_of_the_log_is_whole_records_and_never_longer_than_a_page() -> No
 
 
 def test_a_disk_that_cannot_be_asked_is_not_told_and_one_that_can_is() -> None:
-    with House(robot=False) as house:
+    with DemoGate(robot=False) as house:
         assert house.enter(ClientRole.AUDITOR).ask(Kind.STATUS)["disk"] is None
-    with House(robot=False, parts={"free_bytes": lambda: 7}) as house:
+    with DemoGate(robot=False, parts={"free_bytes": lambda: 7}) as house:
         auditor = house.enter(ClientRole.AUDITOR)
         reserve = house.service.config.reserve_bytes
         assert auditor.ask(Kind.STATUS)["disk"] == {"free_bytes": 7, "reserve_bytes": reserve}
@@ -125,40 +125,40 @@ def test_a_disk_that_cannot_be_asked_is_not_told_and_one_that_can_is() -> None:
     def gone() -> int:
         raise OSError
 
-    with House(robot=False, parts={"free_bytes": gone}) as house:
+    with DemoGate(robot=False, parts={"free_bytes": gone}) as house:
         auditor = house.enter(ClientRole.AUDITOR)
         assert auditor.ask(Kind.STATUS)["disk"] is None
         assert "disk_free_bytes" not in auditor.ask(Kind.METRICS)
 
 
 def test_status_and_metrics_say_whether_the_stop_lane_answers_where_there_is_one() -> None:
-    with House(robot=False) as house:
+    with DemoGate(robot=False) as house:
         auditor = house.enter(ClientRole.AUDITOR)
         assert auditor.ask(Kind.STATUS)["lane"] is None
         assert "lane_alive" not in auditor.ask(Kind.METRICS)
     for alive in (True, False):
-        with House(robot=False, parts={"lane_alive": lambda it=alive: it}) as house:
+        with DemoGate(robot=False, parts={"lane_alive": lambda it=alive: it}) as house:
             auditor = house.enter(ClientRole.AUDITOR)
             assert auditor.ask(Kind.STATUS)["lane"] == {"alive": alive}
             assert auditor.ask(Kind.METRICS)["lane_alive"] == int(alive)
 
 
 def test_metrics_say_who_is_there_and_how_long_ago_each_was_heard() -> None:
-    with House() as house:
+    with DemoGate() as house:
         auditor = house.enter(ClientRole.AUDITOR)
         house.enter(ClientRole.PLANNER)
         house.advance(2_000)
         metrics = auditor.ask(Kind.METRICS)
         assert metrics["controller_connected"] == 1
         assert metrics["heard_age_seconds"]["planner"] == 2
-    with House(robot=False, estimator=False) as house:
+    with DemoGate(robot=False, estimator=False) as house:
         metrics = house.enter(ClientRole.AUDITOR).ask(Kind.METRICS)
         assert (metrics["controller_connected"], metrics["heard_age_seconds"]) == (0, {})
 
 
 def test_a_clock_that_is_behind_hides_no_mission() -> None:
     """What was activated and released right before the clock stepped back is shown as it is."""
-    with House() as house:
+    with DemoGate() as house:
         planner, auditor = house.enter(ClientRole.PLANNER), house.enter(ClientRole.AUDITOR)
         house.clock.wrong_ms = -3_600_000
         assert auditor.ask(Kind.STATUS)["mission"] is None  # none was ever active
@@ -181,7 +181,7 @@ def test_a_clock_that_is_behind_hides_no_mission() -> None:
 
 
 def test_a_suspension_that_is_written_late_is_shown_once_it_is() -> None:
-    with House() as house:
+    with DemoGate() as house:
         auditor = house.enter(ClientRole.AUDITOR)
         house.activate()
         house.clock.wrong_ms = -3_600_000
