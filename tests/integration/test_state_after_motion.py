@@ -24,7 +24,7 @@ from authguard_r.sim.sight import snapshot_of
 from authguard_r.wire.messages import ClientRole
 from fixtures import scenarios
 from fixtures.gate_process import RunningGate, order, until
-from integration.test_mcp_gateway import DemoGate, verdict
+from integration.test_mcp_gateway import DemoGateway, verdict
 
 NOTHING_HELD = {"variable": "holding", "eq": "nothing", "max_age": "1 s"}
 GO = 'navigate_to(destination="Pharmacy", speed=0.8)'
@@ -223,7 +223,7 @@ def test_l23_a_place_that_the_last_call_has_left_is_no_source(tmp_path: Path) ->
     """Behind a server of tools, and an estimator that measures a while after the call's end."""
     with RunningGate() as gate:
         gate.activate(gate.token(gate.mission(grants=leaving(), place_max_age="2 s", closing=None)))
-        slow, house = SlowEstimator(gate), DemoGate(gate, tmp_path)
+        slow, house = SlowEstimator(gate), DemoGateway(gate, tmp_path)
 
         def measure(place: str, after_s: float) -> None:
             fence = slow.fence
