@@ -29,13 +29,13 @@ def lazy(package: str, homes: dict[str, str], root: str = "authguard_r") -> Call
 
 _HOMES = {
     "Action": "core.action",
-    "AsyncGateClient": "client.asynchronous",
     "AuthGuardError": "core.errors",
     "Binder": "normalize.bind",
     "ClientRole": "wire.messages",
     "Decision": "core.decision",
     "Gate": "server.wiring",
     "GateClient": "client.blocking",
+    "LogSettings": "server.wiring",
     "Mission": "core.mission",
     "VerifiedMission": "core.token",
     "assemble": "server.wiring",

@@ -2,7 +2,6 @@
 from collections.abc import Callable
 
 from authguard_r.access.files import read_binding as read_binding
-from authguard_r.client.asynchronous import AsyncGateClient as AsyncGateClient
 from authguard_r.client.blocking import GateClient as GateClient
 from authguard_r.client.stopping import stop_robot as stop_robot
 from authguard_r.core.action import Action as Action
@@ -18,6 +17,7 @@ from authguard_r.normalize import read_plan as read_plan
 from authguard_r.normalize.bind import Binder as Binder
 from authguard_r.operations.simulation import simulate as simulate
 from authguard_r.server.wiring import Gate as Gate
+from authguard_r.server.wiring import LogSettings as LogSettings
 from authguard_r.server.wiring import assemble as assemble
 from authguard_r.site.source import read_site as read_site
 from authguard_r.wire.messages import ClientRole as ClientRole

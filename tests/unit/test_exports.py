@@ -84,7 +84,9 @@ def test_a_distribution_exports_ten_to_twenty_names(module: str) -> None:
     assert 10 <= len(set(import_module(module).__all__)) <= 20
 
 
-@pytest.mark.parametrize("module", ["authguard_r", "missionpair", "missionpair.extension"])
+@pytest.mark.parametrize(
+    "module", ["authguard_r", "authguard_r.client", "missionpair", "missionpair.extension"]
+)
 def test_the_types_of_the_exported_names_are_those_of_their_homes(module: str) -> None:
     made = import_module(module)
     stub = Path(str(made.__file__)).with_suffix(".pyi")

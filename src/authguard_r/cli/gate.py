@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated, NoReturn
 
 import typer
+from msgspec.structs import replace
 
 from authguard_r.access.files import trusted_site
 from authguard_r.cli.inputs import (
@@ -21,11 +22,10 @@ from authguard_r.cli.inputs import (
 )
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.reasons import Reason
-from authguard_r.keys.signer import read_signer
 from authguard_r.keys.trust import read_trust
 from authguard_r.normalize.interface import shipped_interface
 from authguard_r.operations.checkup import GateSetup, require_safe
-from authguard_r.server.files import GateFiles, ask, open_parts, start_time
+from authguard_r.server.files import GateFiles, ask, open_parts, parts_digest, start_time
 
 _ConfigOption = Annotated[
     Path, typer.Option("--config", help="The signed gate configuration (`gate-config`).")
@@ -85,8 +85,7 @@ def gate_command(
     Everything that reaches the robot goes through this process. `authguard status` looks at it,
     `authguard stop` stops the robot whatever this process does.
     """
-    if emergency is None and emergency_journal is not None:
-        raise typer.BadParameter("needs --emergency-policy", param_hint="--emergency-journal")
+    read_trust(trust)
     rid = gate_robot(trust, robot)
     key, cert = _identity(trust, rid, key, cert)
     files = GateFiles(
@@ -107,12 +106,13 @@ def gate_command(
         demo=demo,
         simulate=simulate,
     )
-    check_setup(files)
-    become_gate(files, as_json=as_json)
+    become_gate(checked(files), as_json=as_json)
 
 
-def check_setup(files: GateFiles) -> None:
-    """Check everything that a gate reads; the gate's process reads it again and trusts no check.
+def checked(files: GateFiles) -> GateFiles:
+    """Check everything that a gate reads; return its files with the digest of what was checked.
+
+    The gate's process reads the files again and starts only with the same contents.
 
     Raises:
         BadParameter: an option that cannot be.
@@ -126,9 +126,10 @@ def check_setup(files: GateFiles) -> None:
         raise typer.BadParameter(
             "only with --demo and a root that says `demo`", param_hint="--simulate"
         )
-    read_signer(files.key, files.cert)
-    _make_run(files.run)
+    if files.emergency is None and files.emergency_journal is not None:
+        raise typer.BadParameter("needs --emergency-policy", param_hint="--emergency-journal")
     parts = open_parts(files)
+    _make_run(files.run)
     believed = (files.site, Path(files.binding), files.config)
     signed = (files.safety, files.risk_policy, files.emergency)
     setup = GateSetup(
@@ -150,6 +151,7 @@ def check_setup(files: GateFiles) -> None:
         files=(*believed, *(path for path in signed if path is not None)),
     )
     require_safe(setup, now)
+    return replace(files, checked=parts_digest(parts))
 
 
 def become_gate(files: GateFiles, *, as_json: bool) -> NoReturn:

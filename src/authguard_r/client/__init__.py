@@ -3,26 +3,23 @@
 
 `stop_robot` stops the robot by every way there is. Clients hold no authority: the gate
 authenticates their user by Unix peer credentials, and signed missions and orders say what it may
-do. Spec page: docs/spec/gate-protocol.md#connections
+do. A name is imported when it is first used, so that a stop loads no cryptography.
+Spec page: docs/spec/gate-protocol.md#connections
 """
 
 from __future__ import annotations
 
-from authguard_r.client.approvals import shown
-from authguard_r.client.asynchronous import AsyncGateClient
-from authguard_r.client.blocking import GateClient
-from authguard_r.client.stopping import StopEverywhere, stop_robot
-from authguard_r.core.approval import ApprovalVerdict
-from authguard_r.keys.signer import read_signer
-from authguard_r.wire.messages import ClientRole
+from authguard_r import lazy
 
-__all__ = [
-    "ApprovalVerdict",
-    "AsyncGateClient",
-    "ClientRole",
-    "GateClient",
-    "StopEverywhere",
-    "read_signer",
-    "shown",
-    "stop_robot",
-]
+_HOMES = {
+    "ApprovalVerdict": "core.approval",
+    "AsyncGateClient": "client.asynchronous",
+    "ClientRole": "wire.messages",
+    "GateClient": "client.blocking",
+    "StopEverywhere": "client.stopping",
+    "read_signer": "keys.signer",
+    "shown": "client.approvals",
+    "stop_robot": "client.stopping",
+}
+__all__ = list(_HOMES)
+__getattr__ = lazy(__name__, _HOMES)

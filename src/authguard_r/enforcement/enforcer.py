@@ -93,14 +93,15 @@ class Enforcer:
         self._clock = clock
         self._conditions = [] if first is None else [first]
 
-    def require(self, condition: Callable[[], object]) -> None:
+    def require(self, condition: Callable[[], object], *, first: bool = False) -> None:
         """Refuse every proposal until this condition has passed once.
 
         Args:
             condition: raises `AuthGuardError` while proposals must be refused.
+            first: check it before the others, so that its reason is the one that is given.
         """
         if condition not in self._conditions:
-            self._conditions.append(condition)
+            self._conditions.insert(0 if first else len(self._conditions), condition)
 
     def propose(
         self,

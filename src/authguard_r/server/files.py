@@ -6,6 +6,7 @@ Spec page: docs/spec/gate-protocol.md#start-and-end
 
 from __future__ import annotations
 
+from hashlib import sha256
 from pathlib import Path
 
 import msgspec
@@ -16,6 +17,7 @@ from authguard_r.access.gate_config import open_gate_config
 from authguard_r.anchoring.anchor import read_counter
 from authguard_r.anchoring.counter import Counter, FileCounter
 from authguard_r.approvals.organization import open_policy
+from authguard_r.core.encoding import Tag, b64, digest_of, encode_fast
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.quantities import Now
@@ -25,9 +27,11 @@ from authguard_r.estop.files import EStopFiles
 from authguard_r.keys.clock_floor import boot_ms, token_ms
 from authguard_r.keys.signer import folder_signer, read_signer
 from authguard_r.keys.trust import Trust, read_file, read_trust
-from authguard_r.safety import SafetyConfig, default_config, open_config
+from authguard_r.normalize.binding import binding_digest
+from authguard_r.safety import SafetyConfig, default_config, open_config, safety_digest
 from authguard_r.server.parts import EmergencyParts, GateParts, SimulatedRobot
-from authguard_r.site.model import Site
+from authguard_r.server.wiring import root_digest
+from authguard_r.site.model import Site, site_digest
 from authguard_r.store.clocks import SystemClock, committed_ms
 
 #: The file descriptor that the structured log goes to.
@@ -54,6 +58,7 @@ class GateFiles(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         counter: the file of the counter outside of the store.
         demo: accept a trust root that says `demo`.
         simulate: run a symbolic robot inside the gate's process; needs `demo`.
+        checked: the `parts_digest` of the parts that were checked; the gate starts with no others.
     """
 
     robot: RobotId
@@ -72,6 +77,7 @@ class GateFiles(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     counter: Path | None = None
     demo: bool = False
     simulate: bool = False
+    checked: str = ""
 
     @property
     def outside(self) -> Counter | None:
@@ -80,8 +86,17 @@ class GateFiles(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 def ask(files: GateFiles) -> str:
-    """Return the argument that names these files to the gate's process."""
-    return msgspec.json.encode(files, enc_hook=str).decode()
+    """Return the argument that names these files to the gate's process.
+
+    Raises:
+        EnvironmentFault: a path is not UTF-8.
+    """
+    try:
+        return msgspec.json.encode(files, enc_hook=str).decode()
+    except UnicodeEncodeError as error:
+        raise EnvironmentFault(
+            "expected paths in UTF-8", reason=Reason.STORE_UNAVAILABLE, where="arguments"
+        ) from error
 
 
 def asked(argument: str) -> GateFiles:
@@ -139,6 +154,36 @@ def open_parts(files: GateFiles) -> GateParts:
         counter=files.outside,
         emergency=_emergency(files, trust, site, now),
     )
+
+
+def parts_digest(parts: GateParts) -> str:
+    """Return a SHA-256 of everything signed or written by people that a gate starts with."""
+    risk, emergency = parts.risk, parts.emergency
+    content = (
+        root_digest(parts.trust),
+        [b64(certificate) for certificate in parts.signer.chain],
+        site_digest(parts.site),
+        binding_digest(parts.binding),
+        digest_of(Tag.GATE, parts.config),
+        safety_digest(parts.safety),
+        None if risk is None else risk.digest,
+        None if emergency is None else emergency.policy.digest,
+    )
+    return sha256(encode_fast(content)).hexdigest()
+
+
+def require_checked(files: GateFiles, parts: GateParts) -> None:
+    """Refuse parts that are not those that were checked before the gate's process began.
+
+    Raises:
+        EnvironmentFault: a file has changed since, or no check was made.
+    """
+    if files.checked != parts_digest(parts):
+        raise EnvironmentFault(
+            "the set-up is not the one that was checked: start the gate with `authguard gate`",
+            reason=Reason.STORE_UNAVAILABLE,
+            where="setup",
+        )
 
 
 def _safety(files: GateFiles, trust: Trust, site: Site, now: Now) -> SafetyConfig:

@@ -12,7 +12,7 @@ import sys
 
 import msgspec
 
-from authguard_r.server.files import asked, open_parts
+from authguard_r.server.files import asked, open_parts, require_checked
 from authguard_r.server.process import Rendezvous, run_gate
 from authguard_r.wire.messages import Mode
 from authguard_r.wire.output import answered, emit
@@ -20,11 +20,12 @@ from authguard_r.wire.output import answered, emit
 
 def main(arguments: list[str]) -> int:
     """Serve until SIGTERM; return the exit code."""
-    files = asked(arguments[0])
     as_json = "--json" in arguments
 
     def run() -> int:
+        files = asked(arguments[0])
         parts = open_parts(files)
+        require_checked(files, parts)
         run_gate(parts, lambda place: _ready(place, parts.config.mode, as_json=as_json))
         return 0
 

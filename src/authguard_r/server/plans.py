@@ -17,7 +17,8 @@ from authguard_r.core.errors import AuthGuardError, EnvironmentFault, MalformedE
 from authguard_r.core.identifiers import Identifier
 from authguard_r.core.reasons import Reason
 from authguard_r.enforcement.enforcer import Enforcer
-from authguard_r.enforcement.json_views import decision_json
+from authguard_r.enforcement.json_views import decision_json, told_json
+from authguard_r.enforcement.leases import require_judged
 from authguard_r.enforcement.report import Report
 from authguard_r.normalize import Binder, Dialect, Plan, read_plan
 from authguard_r.server.contexts import PlannerContexts
@@ -38,7 +39,8 @@ from authguard_r.server.proposal import (
     RefusePlan,
     SendAnswer,
     StopRobot,
-    Tell,
+    TellDecision,
+    TellResult,
     WatchAction,
 )
 from authguard_r.server.proposals import (
@@ -232,7 +234,7 @@ class Plans:
         for effect in effects:
             self._do(proposal, effect)
 
-    def _do(  # noqa: C901 - one case for each effect
+    def _do(  # noqa: C901, PLR0912 - one case for each effect
         self, proposal: Proposal, effect: Effect
     ) -> None:
         client = proposal.client
@@ -249,7 +251,11 @@ class Plans:
                 self._watch(proposal, effect)
             case AwaitNotes(report):
                 self._later(client, lambda: self._carry_out(proposal, proposal.go_on(report)))
-            case Tell(event):
+            case TellDecision(step, report):
+                ticket, told = require_judged(report).ticket, told_json(report, self._disclosure)
+                client.event(proposal.number, {"step": step, "ticket": ticket, **told})
+            case TellResult(step, result):
+                event = {"step": step, "ticket": result.ticket, "result": result.content}
                 client.event(proposal.number, event)
             case CountDecision(report):
                 self._decided(client, report)

@@ -195,7 +195,10 @@ def _controller(parts: GateParts, remote: RemoteController | None) -> Controller
     """Return the controller: connected, in this process, or none in shadow mode."""
     if parts.config.mode is Mode.SHADOW:
         return ShadowController()
-    return parts.simulated or remote or ShadowController()
+    made = remote if parts.simulated is None else parts.simulated
+    if made is None:  # pragma: no cover - `_remote` makes one unless a robot is simulated
+        raise RuntimeError("a gate that enforces has no controller")
+    return made
 
 
 def _clock(parts: GateParts) -> Clock:

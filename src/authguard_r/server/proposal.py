@@ -20,7 +20,7 @@ from authguard_r.core.identifiers import Digest
 from authguard_r.core.mission import OnRefusal
 from authguard_r.core.standing import Outcome
 from authguard_r.enforcement.json_views import told_json
-from authguard_r.enforcement.leases import Running, require_judged
+from authguard_r.enforcement.leases import Running
 from authguard_r.enforcement.report import Report
 from authguard_r.normalize import Plan, Step
 from authguard_r.server.fair_queue import ServedClient
@@ -75,10 +75,18 @@ class AwaitNotes(Struct, frozen=True):
     report: Report
 
 
-class Tell(Struct, frozen=True):
-    """Send an event to the planner."""
+class TellDecision(Struct, frozen=True):
+    """Send the decision of a step that was begun to the planner."""
 
-    event: dict[str, Any]
+    step: int
+    report: Report
+
+
+class TellResult(Struct, frozen=True):
+    """Send what an action brought to light to the planner."""
+
+    step: int
+    result: Result
 
 
 class CountDecision(Struct, frozen=True):
@@ -114,7 +122,8 @@ Effect = (
     | Decide
     | WatchAction
     | AwaitNotes
-    | Tell
+    | TellDecision
+    | TellResult
     | CountDecision
     | CountOutcome
     | Forget
@@ -130,7 +139,7 @@ class Proposal:
         proposal = Proposal(client, number, asked, evidence, disclosure=..., shadow=False)
         effects = proposal.read(plan)            # (AwaitState(step),)
         effects = proposal.due()                 # (Decide(step, ...),)
-        effects = proposal.begun(running, ...)   # (WatchAction(...), Tell(...), CountDecision(...))
+        effects = proposal.begun(running, ...)   # (WatchAction(...), TellDecision(...), ...)
         effects = proposal.ended(keeper, report) # (CountOutcome(...), NextTurn()) or the answer
 
     Args:
@@ -198,12 +207,8 @@ class Proposal:
         """Take the decision: a final report, or the action while it runs."""
         if isinstance(begun, Running):
             self.stage = ProposalStage.RUNNING
-            told = {
-                "step": len(self._reports),
-                "ticket": require_judged(begun.report).ticket,
-                **told_json(begun.report, self._disclosure),
-            }
-            return (WatchAction(begun, keeper), Tell(told), CountDecision(begun.report))
+            step, report = len(self._reports), begun.report
+            return (WatchAction(begun, keeper), TellDecision(step, report), CountDecision(report))
         if begun.outcome is not None:
             return (CountDecision(begun), *self.ended(keeper, begun))
         return (*self.go_on(begun), CountDecision(begun))
@@ -232,8 +237,7 @@ class Proposal:
     def noted(self, result: Result) -> Effects:
         """Go on: everything in a result was noted, so the planner may be told."""
         self._noting -= 1
-        event = {"step": len(self._reports), "ticket": result.ticket, "result": result.content}
-        return (Tell(event),)
+        return (TellResult(len(self._reports), result),)
 
     @property
     def _next(self) -> Step:

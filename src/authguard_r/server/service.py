@@ -166,8 +166,8 @@ class Service:
     def look(self) -> None:
         """Look at every open lease, and at everything that waits for the robot."""
         self.leases.look()
+        self._braking.look()  # a stop is answered before any step is looked at
         self._foresight.look()
-        self._braking.look()
         if self.emergencies is not None:
             self.emergencies.look()
 
@@ -376,7 +376,8 @@ class Service:
     async def _come_to_rest(self) -> None:
         """Stop what moves, wait for it to stand, and let everybody go."""
         self._closing = True
-        self.gate.enforcer.require(_refuse_all)  # a next step, and a plan that is being read
+        # a next step, and a plan that is being read
+        self.gate.enforcer.require(_refuse_all, first=True)
         self._foresight.close()
         if self.leases:
             self.gate.enforcer.stop(by=Identifier("gate"), is_planner=False)

@@ -257,6 +257,7 @@ def assemble(
     store: Store,
     log: LogSettings = LogSettings(),  # noqa: B008 - frozen
     demo: bool = False,
+    risk: tuple[RiskPolicy, ...] = (),
     stand_within_ms: int = LIMITS.stand_within_ms,
 ) -> Gate:
     """Return the gate made of these parts, for a program that is the gate's only client.
@@ -272,6 +273,7 @@ def assemble(
         clock=clock,
         log=log,
         demo=demo,
+        risk=risk,
     )
     return join(
         opened,
@@ -328,9 +330,12 @@ def _lists(ledger: Ledger, enforcer: Enforcer, trust: Trust, *, chain: tuple[byt
         StoreError: what the store holds is no list.
     """
 
+    def identified() -> None:
+        trust.gate_identity(chain, ledger.now())
+
     def dismissed() -> None:
         """Release nothing more: a list revoked the gate itself."""
-        enforcer.require(lambda: trust.gate_identity(chain, ledger.now()))
+        enforcer.require(identified)
         enforcer.stop(by=Identifier("gate"), is_planner=False)
 
     lists = Lists(ledger, enforcer.intake, trust, chain=chain, dismissed=dismissed)

@@ -28,7 +28,8 @@ from authguard_r.server.proposal import (
     RefusePlan,
     SendAnswer,
     StopRobot,
-    Tell,
+    TellDecision,
+    TellResult,
     WatchAction,
 )
 from authguard_r.server.proposals import Keeper
@@ -106,7 +107,7 @@ def test_a_step_is_awaited_decided_watched_and_counted_in_this_order(house: Demo
     running = way.decide(proposal.due())
     assert proposal.stage is ProposalStage.DECIDING
     assert way.keeper is not None
-    assert kinds(proposal.begun(running, way.keeper)) == [WatchAction, Tell, CountDecision]
+    assert kinds(proposal.begun(running, way.keeper)) == [WatchAction, TellDecision, CountDecision]
     assert proposal.stage is ProposalStage.RUNNING
     assert kinds(proposal.ended(way.keeper, way.ended(running))) == [CountOutcome, NextTurn]
     assert kinds(proposal.turn()) == [AwaitState]
@@ -166,7 +167,7 @@ def test_a_result_is_told_before_the_answer_that_waits_for_it(house: DemoGate) -
     assert kinds(effects) == [CountOutcome, AwaitNotes]
     assert kinds(way.proposal.go_on(report)) == [AwaitNotes]
     result = Result(ticket=running.lease.ticket, content="a sign", texts=("a sign",))
-    assert kinds(way.proposal.noted(result)) == [Tell]
+    assert kinds(way.proposal.noted(result)) == [TellResult]
     assert kinds(way.proposal.go_on(report)) == [Forget, SendAnswer]
 
 
@@ -188,3 +189,12 @@ def test_a_shadow_run_judges_every_step_whatever_became_of_the_one_before(house:
     refused = way.decide(way.proposal.due())
     assert way.keeper is not None
     assert kinds(way.proposal.begun(refused, way.keeper)) == [NextTurn, CountDecision]
+
+
+def test_a_planner_that_hung_up_while_its_step_waited_begins_nothing(house: DemoGate) -> None:
+    planner = house.enter(ClientRole.PLANNER)
+    way = Way(house, planner, GO)
+    assert kinds(way.proposal.read(way.plan())) == [AwaitState]
+    planner.line.close()
+    house.settle()
+    assert kinds(way.proposal.due()) == [Forget]
