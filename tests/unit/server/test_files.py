@@ -17,7 +17,14 @@ from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.token import sign_object
 from authguard_r.keys.signer import folder_signer
-from authguard_r.server.files import GateFiles, ask, asked, open_parts, parts_digest
+from authguard_r.server.files import (
+    GateFiles,
+    ask,
+    asked,
+    open_parts,
+    parts_digest,
+    require_checked,
+)
 from authguard_r.server.main import main
 from authguard_r.wire.messages import ClientRole, Mode
 from fixtures import scenarios
@@ -59,6 +66,15 @@ def test_what_was_checked_is_what_the_argument_names(files: GateFiles) -> None:
     assert asked(ask(found)) == found
     assert found.checked == parts_digest(open_parts(files))
     assert files.run.is_dir()
+
+
+def test_parts_that_were_not_checked_are_refused(files: GateFiles) -> None:
+    found = checked(files)
+    parts = open_parts(found)
+    require_checked(found, parts)
+    for wrong in (files, replace(found, checked="other")):
+        with pytest.raises(EnvironmentFault, match="not the one that was checked"):
+            require_checked(wrong, parts)
 
 
 @pytest.mark.parametrize("changed", ["binding", "site", "config"])
