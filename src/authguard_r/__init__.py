@@ -39,7 +39,7 @@ _HOMES = {
     "Mission": "core.mission",
     "VerifiedMission": "core.token",
     "assemble": "server.wiring",
-    "evaluate": "enforcement.enforcer",
+    "evaluate": "enforcement.evaluation",
     "read_binding": "access.files",
     "read_plan": "normalize",
     "read_site": "site.source",

@@ -11,7 +11,7 @@ from authguard_r.core.mission import Mission as Mission
 from authguard_r.core.token import VerifiedMission as VerifiedMission
 from authguard_r.core.token import sign_object as sign_object
 from authguard_r.core.token import verify_mission as verify_mission
-from authguard_r.enforcement.enforcer import evaluate as evaluate
+from authguard_r.enforcement.evaluation import evaluate as evaluate
 from authguard_r.keys.trust import read_trust as read_trust
 from authguard_r.normalize import read_plan as read_plan
 from authguard_r.normalize.bind import Binder as Binder

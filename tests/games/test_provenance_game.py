@@ -22,7 +22,7 @@ from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, b64, digest_of
 from authguard_r.core.standing import Outcome, select
 from authguard_r.core.token import VerifiedMission, sign_object
-from authguard_r.enforcement.enforcer import evaluate
+from authguard_r.enforcement.evaluation import evaluate
 from authguard_r.normalize import Binder
 from authguard_r.provenance.context import CHANNELS, ContextLedger
 from authguard_r.provenance.mentions import MentionNames

@@ -17,7 +17,7 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.standing import Outcome
 from authguard_r.core.state import AttestedState
 from authguard_r.core.token import sign_object
-from authguard_r.enforcement.enforcer import evaluate
+from authguard_r.enforcement.evaluation import evaluate
 from authguard_r.keys.trust import read_trust
 from authguard_r.safety import EnvelopeGate, default_config, open_config
 from authguard_r.sim.robot import snapshot_of

@@ -44,7 +44,7 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.standing import Standing, advance, issue
 from authguard_r.core.state import AttestedState
 from authguard_r.core.token import VerifiedMission
-from authguard_r.enforcement.enforcer import evaluate
+from authguard_r.enforcement.evaluation import evaluate
 from authguard_r.enforcement.json_views import decision_json
 from authguard_r.enforcement.report import Judged
 from authguard_r.keys.trust import Trust, read_trust

@@ -26,7 +26,7 @@ from authguard_r.core.encoding import Tag, b64, digest
 from authguard_r.core.identifiers import Digest, RobotId
 from authguard_r.core.quantities import Now
 from authguard_r.core.token import open_token, sign_object
-from authguard_r.enforcement.enforcer import evaluate
+from authguard_r.enforcement.evaluation import evaluate
 from authguard_r.enforcement.json_views import decision_json, report_json
 from authguard_r.keys.signer import folder_signer
 from authguard_r.keys.trust import read_file, read_trust

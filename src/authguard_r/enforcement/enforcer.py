@@ -15,7 +15,6 @@ from typing import Any
 import msgspec
 
 from authguard_r.audit.deviation import weights_of
-from authguard_r.core.action import Action
 from authguard_r.core.checks.grant import spend_of
 from authguard_r.core.decide import decide
 from authguard_r.core.decision import Verdict
@@ -28,11 +27,8 @@ from authguard_r.core.lease import permit
 from authguard_r.core.lifecycle import Event
 from authguard_r.core.ports import Clock, SafetyGate
 from authguard_r.core.provenance import Label
-from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
-from authguard_r.core.standing import Outcome, Standing, advance, ask, close_request, reserve
-from authguard_r.core.state import AttestedState
-from authguard_r.core.token import VerifiedMission
+from authguard_r.core.standing import Outcome, advance, ask, close_request, reserve
 from authguard_r.enforcement.completion import (
     cause_of,
     complete,
@@ -54,7 +50,6 @@ from authguard_r.enforcement.report import Judged, Refusal, Report, open_questio
 from authguard_r.enforcement.stopping import RecordedStops
 from authguard_r.normalize import Step
 from authguard_r.provenance.context import ContextLedger, Influence
-from authguard_r.provenance.labels import label_fields
 from authguard_r.safety.stored_memory import memory_of, remember
 from authguard_r.store.transactions import Ledger, Transaction
 from authguard_r.wire.gate_limits import LIMITS
@@ -385,44 +380,3 @@ class Enforcer:
             inputs: what to seal beside it: the plan itself, where a shadow run keeps it.
         """
         return self._refused(error, planner, (), inputs)
-
-
-def evaluate(
-    verified: VerifiedMission,
-    action: Action,
-    *,
-    state: AttestedState | None,
-    facts: SiteFacts,
-    now: Now,
-    standing: Standing | None,
-    safety: SafetyGate | None = None,
-    base: Label = Label.MODEL,
-) -> Judged:
-    """Return what both gates would say, without consuming, recording or releasing: a what-if.
-
-    Args:
-        verified: the mission.
-        action: the proposal; its labels and meta are set here, never taken over.
-        state: what would be attested.
-        facts: the signed site and the gate's identity.
-        now: the instant to ask about.
-        standing: the registry's entry to ask about.
-        safety: the second gate; asked also when the first refuses, to show the two apart.
-        base: the least trusted label of anything the planner could have seen.
-    """
-    labels = label_fields(action, verified, standing, base=base)
-    action = msgspec.structs.replace(action, provenance=labels, meta=None)
-    decision = decide(verified, action, state=state, facts=facts, now=now, standing=standing)
-    digested = digest_of(Tag.ACTION, action)
-    return Judged(
-        action=action,
-        action_digest=digested,
-        decision=decision,
-        safety=None if safety is None else safety.assess(action, state, facts, now),
-        verified=verified,
-        standing=standing,
-        state=state,
-        now=now,
-        ticket=digested,
-        weights=weights_of(verified.mission.risk_policy, facts.risk),
-    )

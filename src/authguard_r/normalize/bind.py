@@ -16,10 +16,18 @@ from typing import Any
 from msgspec import Struct
 
 from authguard_r.core.action import Action
-from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import ActionType, ParameterId, ToolId
 from authguard_r.core.provenance import TRUST
 from authguard_r.core.reasons import Reason
+from authguard_r.normalize.argument_paths import (
+    Tree,
+    flatten,
+    look,
+    refusal,
+    suffix_of,
+    tree_of,
+    unknown_field,
+)
 from authguard_r.normalize.binding import (
     POSE,
     REGION,
@@ -30,7 +38,6 @@ from authguard_r.normalize.binding import (
     ToolBinding,
     Ways,
     binding_digest,
-    is_index,
     ways,
     ways_of,
 )
@@ -49,8 +56,6 @@ MAX_ROUTE = 64
 UNTOLD = str(TRUST[-1])
 
 Reader = Callable[[Any, str], Any]
-#: The names at one level of a call: those below each, or the path that ends there.
-Tree = dict[str, Any]
 
 
 class _Form(Struct, frozen=True):
@@ -115,7 +120,7 @@ class Binder:
         """
         way = self._choose(call)
         if way.kind.state_writing:
-            raise _refusal(
+            raise refusal(
                 Reason.STATE_WRITING_REFUSED,
                 f"`{call.tool}` writes state or does what no grant can hold; no planner may",
                 call.where,
@@ -171,7 +176,7 @@ class Binder:
         """Return the one way that the call is; ways of a tool exclude each other."""
         found = self._tools.get(call.tool)
         if found is None:
-            raise _refusal(
+            raise refusal(
                 Reason.TOOL_UNKNOWN,
                 f"expected a bound tool, got `{ascii(call.tool)[1:-1][:80]}`",
                 call.where,
@@ -182,10 +187,10 @@ class Binder:
             if all(same(look(call.arguments, p), c) for p, c in way.tool.when.items()):
                 return way
         path = _stray(call, tuple(way.tool for way in found))
-        raise _refusal(
+        raise refusal(
             Reason.TOOL_UNKNOWN,
             f"expected a value of `{path}` for which `{call.tool}` is bound",
-            call.where + _suffix(path),
+            call.where + suffix_of(path),
         )
 
     def _way(self, tool: ToolBinding) -> _BoundWay:
@@ -204,9 +209,9 @@ class Binder:
         flat = all(names == (path,) and "." not in path for path, names in paths.items())
         return _Form(
             names=frozenset(paths),
-            tree=None if flat else _tree(paths),
+            tree=None if flat else tree_of(paths),
             readers=tuple(
-                (path, _suffix(path), a.to, self._reader(a, kind), a.default, _is_needed(a))
+                (path, suffix_of(path), a.to, self._reader(a, kind), a.default, _is_needed(a))
                 for path, a in arguments.items()
                 if a.use is not ArgumentUse.NOTED
             ),
@@ -219,18 +224,18 @@ class Binder:
         """Read every argument of one level into the fields that it fills."""
         if form.tree is not None:
             found: dict[str, Any] = {}
-            _flatten(form.tree, given, found, where, tool)
+            flatten(form.tree, given, found, where, tool)
             given = found
         elif not given.keys() <= form.names:
             unknown = min(given.keys() - form.names)
-            raise _unknown(tool, f"{where}.{ascii(unknown)[1:-1][:80]}")
+            raise unknown_field(tool, f"{where}.{ascii(unknown)[1:-1][:80]}")
         for path, suffix, target, reader, default, needed in form.readers:
             if path in given:
                 fields[target] = reader(given[path], where + suffix)
             elif default is not None:
                 fields[target] = default
             elif needed:
-                raise _refusal(Reason.FIELD_MISSING, "expected a value", where + suffix)
+                raise refusal(Reason.FIELD_MISSING, "expected a value", where + suffix)
 
     def _settle(self, fields: dict[str, Any], where: str) -> None:
         """Turn positions and stops into the destination and the route that they mean."""
@@ -265,7 +270,7 @@ class Binder:
 
     def _route(self, value: Any, where: str) -> tuple[str, ...]:
         if not isinstance(value, list) or len(value) > MAX_ROUTE:
-            raise _refusal(Reason.VALUE_INVALID, "expected a list of regions", where)
+            raise refusal(Reason.VALUE_INVALID, "expected a list of regions", where)
         return tuple(
             _resolve(item, self._regions, "region", f"{where}[{n}]") for n, item in enumerate(value)
         )
@@ -277,14 +282,14 @@ class Binder:
 
         def read(value: Any, where: str) -> tuple[str, ...]:
             if not isinstance(value, list) or not least <= len(value) <= MAX_ROUTE:
-                raise _refusal(
+                raise refusal(
                     Reason.VALUE_INVALID, f"expected a list of {least} to {MAX_ROUTE} places", where
                 )
             return tuple(one(item, f"{where}[{n}]") for n, item in enumerate(value))
 
         def one(item: Any, where: str) -> str:
             if not isinstance(item, dict):
-                raise _refusal(Reason.VALUE_INVALID, "expected an object", where)
+                raise refusal(Reason.VALUE_INVALID, "expected an object", where)
             fields: dict[str, Any] = {}
             self._collect(form, item, fields, where, "place")
             return str(fields[REGION]) if REGION in fields else self._region(fields, where)
@@ -297,18 +302,6 @@ def _is_needed(argument: Argument) -> bool:
     return argument.use is not ArgumentUse.REFUSED and not argument.optional
 
 
-def look(arguments: Any, path: str) -> Any:
-    """Return what stands on a dotted path of a call's arguments; None when nothing does."""
-    for depth, name in enumerate(path.split(".")):
-        if isinstance(arguments, list) and depth and is_index(name):
-            arguments = arguments[int(name)] if int(name) < len(arguments) else None
-        elif isinstance(arguments, dict):
-            arguments = arguments.get(name)
-        else:
-            return None
-    return arguments
-
-
 def _stray(call: Call, tools: Ways) -> str:
     """Return the first path whose value fits no way; else the first path of all."""
     paths = list(dict.fromkeys(path for tool in tools for path in tool.when))
@@ -319,53 +312,8 @@ def _stray(call: Call, tools: Ways) -> str:
     return paths[0]
 
 
-def _suffix(path: str) -> str:
-    """Return a dotted path as a place below the call: `.poses[0].x`."""
-    first, *rest = path.split(".")
-    return f".{first}" + "".join(f"[{name}]" if is_index(name) else f".{name}" for name in rest)
-
-
-def _tree(paths: dict[str, tuple[str, ...]]) -> Tree:
-    """Return the names of nested arguments as nested tables with each path at its end."""
-    tree: Tree = {}
-    for path, names in paths.items():
-        for name in names:
-            *parents, last = name.split(".")
-            node = tree
-            for parent in parents:
-                node = node.setdefault(parent, {})
-            node[last] = path
-    return tree
-
-
-def _flatten(
-    tree: Tree, given: dict[str, Any], found: dict[str, Any], where: str, tool: str
-) -> None:
-    """Sort nested values by the path that each stands on; whatever is on none refuses the call."""
-    for name, value in given.items():
-        _enter(tree.get(name), value, found, f"{where}.{ascii(name)[1:-1][:80]}", tool)
-
-
-def _enter(below: Any, value: Any, found: dict[str, Any], where: str, tool: str) -> None:
-    if below is None:
-        raise _unknown(tool, where)
-    if isinstance(below, str):
-        if below in found:
-            raise _refusal(Reason.VALUE_INVALID, "expected the value once", where)
-        found[below] = value
-    elif "0" in below:
-        if not isinstance(value, list):
-            raise _refusal(Reason.VALUE_INVALID, "expected a list", where)
-        for number, item in enumerate(value):
-            _enter(below.get(str(number)), item, found, f"{where}[{number}]", tool)
-    elif isinstance(value, dict):
-        _flatten(below, value, found, where, tool)
-    else:
-        raise _refusal(Reason.VALUE_INVALID, "expected an object", where)
-
-
 def _refuse(value: Any, where: str) -> Any:  # noqa: ARG001 - whatever it is
-    raise _refusal(Reason.FIELD_REFUSED, "expected the field to be left out", where)
+    raise refusal(Reason.FIELD_REFUSED, "expected the field to be left out", where)
 
 
 def _constant(constant: Any) -> Reader:
@@ -373,7 +321,7 @@ def _constant(constant: Any) -> Reader:
 
     def read(value: Any, where: str) -> None:
         if not same(value, constant):
-            raise _refusal(Reason.FIELD_REFUSED, f"expected `{constant}` or nothing", where)
+            raise refusal(Reason.FIELD_REFUSED, f"expected `{constant}` or nothing", where)
 
     return read
 
@@ -387,12 +335,12 @@ def _number(argument: Argument, kind: ActionModel) -> Reader:
     def word(value: Any, where: str) -> int:
         if not isinstance(value, str) or value not in argument.values:
             expected = ", ".join(argument.values)
-            raise _refusal(Reason.VALUE_INVALID, f"expected one of: {expected}", where)
+            raise refusal(Reason.VALUE_INVALID, f"expected one of: {expected}", where)
         return argument.values[value]
 
     def whole(value: Any, where: str) -> int:
         if isinstance(value, Decimal):
-            raise _refusal(Reason.VALUE_INVALID, "expected a whole number", where)
+            raise refusal(Reason.VALUE_INVALID, "expected a whole number", where)
         return scale(value, parameter, per_unit=per_unit, where=where, offset=offset)
 
     if argument.values:
@@ -432,17 +380,9 @@ def _spellings(named: dict[Any, tuple[str, ...]]) -> dict[str, str]:
 
 def _resolve(value: Any, spellings: dict[str, str], kind: str, where: str) -> str:
     if not isinstance(value, str):
-        raise _refusal(Reason.VALUE_INVALID, f"expected the name of a {kind}", where)
+        raise refusal(Reason.VALUE_INVALID, f"expected the name of a {kind}", where)
     found = spellings.get(value)
     if found is None:
         shown = ascii(value)[1:-1]
-        raise _refusal(Reason.NAME_UNKNOWN, f"no {kind} is called `{shown[:80]}`", where)
+        raise refusal(Reason.NAME_UNKNOWN, f"no {kind} is called `{shown[:80]}`", where)
     return found
-
-
-def _unknown(tool: str, where: str) -> MalformedError:
-    return _refusal(Reason.FIELD_UNKNOWN, f"`{tool}` has no such field", where)
-
-
-def _refusal(reason: Reason, message: str, where: str) -> MalformedError:
-    return MalformedError(message, where=where, reason=reason)

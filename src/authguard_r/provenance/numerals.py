@@ -28,48 +28,18 @@ _SENTENCE = re.compile(r"[.,;:!?]")
 _FILLERS = frozenset({"no", "nr", "num", "number"})
 _SCALES = (100, 1_000)
 
-_ONES = {
-    **dict.fromkeys(("zero", "oh", "o", "nought"), 0),
-    "one": 1,
-    "two": 2,
-    "three": 3,
-    "four": 4,
-    "five": 5,
-    "six": 6,
-    "seven": 7,
-    "eight": 8,
-    "nine": 9,
-    "ten": 10,
-    "eleven": 11,
-    "twelve": 12,
-    "thirteen": 13,
-    "fourteen": 14,
-    "fifteen": 15,
-    "sixteen": 16,
-    "seventeen": 17,
-    "eighteen": 18,
-    "nineteen": 19,
-}
-_TENS = {
-    "twenty": 20,
-    "thirty": 30,
-    "forty": 40,
-    "fifty": 50,
-    "sixty": 60,
-    "seventy": 70,
-    "eighty": 80,
-    "ninety": 90,
+_ONES = "zero one two three four five six seven eight nine ten eleven twelve thirteen fourteen"
+_ONES += " fifteen sixteen seventeen eighteen nineteen"
+_TENS = "twenty thirty forty fifty sixty seventy eighty ninety"
+#: What a cardinal number word below a hundred says.
+_CARDINALS = {
+    **dict.fromkeys(("oh", "o", "nought"), 0),
+    **{word: value for value, word in enumerate(_ONES.split())},
+    **{word: 10 * value for value, word in enumerate(_TENS.split(), start=2)},
 }
 #: Ordinals that do not end their number in `th` alone.
-_IRREGULAR = {
-    "first": 1,
-    "second": 2,
-    "third": 3,
-    "fifth": 5,
-    "eighth": 8,
-    "ninth": 9,
-    "twelfth": 12,
-}
+_IRREGULAR = {"first": 1, "second": 2, "third": 3}
+_IRREGULAR |= {"fifth": 5, "eighth": 8, "ninth": 9, "twelfth": 12}
 
 
 class ComparedToken(Struct, frozen=True, kw_only=True):
@@ -101,9 +71,13 @@ class _Word(Struct, frozen=True):
 
 def _words() -> dict[str, _Word]:
     """Return every number word by its skeleton: `0ne` says one too."""
-    cardinals = {**_ONES, **_TENS, "hundred": 100, "thousand": 1_000}
+    cardinals = {**_CARDINALS, "hundred": 100, "thousand": 1_000}
     said = {f"{name}th": _Word(value, ordinal=True) for name, value in cardinals.items()}
-    said |= {f"{name[:-1]}ieth": _Word(value, ordinal=True) for name, value in _TENS.items()}
+    said |= {
+        f"{name[:-1]}ieth": _Word(value, ordinal=True)
+        for name, value in cardinals.items()
+        if name in _TENS.split()
+    }
     said |= {name: _Word(value, ordinal=True) for name, value in _IRREGULAR.items()}
     said |= {name: _Word(value, ordinal=False) for name, value in cardinals.items()}
     return {skeleton(name): meant for name, meant in said.items()}

@@ -6,9 +6,11 @@ Spec page: docs/spec/gate-protocol.md#alerts
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable
 from typing import Any
 
+from authguard_r.access.gate_config import GateConfig
 from authguard_r.audit.record import NONE, Entry
 from authguard_r.enforcement.leases import quietly
 from authguard_r.server.event_log import EventLog
@@ -17,12 +19,12 @@ from authguard_r.store.transactions import Ledger
 
 
 class EventBus:
-    """Tells those who watch.
+    """Sends events to the clients that watch.
 
     Args:
         ledger: the time, and where alerts are recorded.
         clients: who is connected.
-        journal: for whoever runs the machine.
+        journal: the event log that the machine's administrator reads.
     """
 
     def __init__(
@@ -47,6 +49,21 @@ class EventBus:
         for client in tuple(self._clients()):
             if client.watching is not None:
                 client.event(client.watching, told)
+
+    def client(self, client: ServedClient, *, here: bool) -> None:
+        """Tell everybody who watches that a client came (`here`) or left."""
+        told = {"client": client.name, "role": client.role, "here": here}
+        self.publish({"event": "client", **told})
+
+    def start(self, config: GateConfig, *, unclean: bool) -> None:
+        """Tell everybody who watches that the gate started.
+
+        Args:
+            config: the signed configuration.
+            unclean: the gate's run before this one did not end cleanly.
+        """
+        started = {"robot": config.robot, "mode": str(config.mode), "pid": os.getpid()}
+        self.publish({"event": "start", **started, "unclean": unclean})
 
     def alert(self, what: str, details: dict[str, Any]) -> None:
         """Record an alert and tell everybody who watches."""

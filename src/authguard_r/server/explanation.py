@@ -68,12 +68,7 @@ def explanation(
 
 
 def _explained(
-    record: Record,
-    sealed: dict[str, Sealed],
-    *,
-    closed: Closed,
-    mission: Mission | None,
-    how: str,
+    record: Record, sealed: dict[str, Sealed], *, closed: Closed, mission: Mission | None, how: str
 ) -> dict[str, Any]:
     opened = record.open
     values = {name: item.value for name, item in sealed.items()}

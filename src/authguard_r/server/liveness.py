@@ -23,7 +23,7 @@ from authguard_r.core.mission import OnRefusal
 from authguard_r.core.standing import Outcome
 from authguard_r.enforcement.report import Report
 from authguard_r.wire.gate_limits import LIMITS
-from authguard_r.wire.messages import ClientRole
+from authguard_r.wire.messages import ClientRole, Mode
 
 #: What is said of a controller that is not there.
 _AWAY = "controller is not connected"
@@ -156,8 +156,11 @@ class Liveness:
         """Count refusals in a row; True when it is time to stop the robot.
 
         Where the mission says that a person is asked, the first of a user's row asks. Neither
-        alert is raised while no mission runs: then no planner can succeed.
+        alert is raised while no mission runs: then no planner can succeed. A gate in shadow mode
+        holds no robot: nothing is counted.
         """
+        if self._config.mode is not Mode.ENFORCE:
+            return False
         user = client.partition(".")[0]  # under all its names: another name is no progress
         if report.outcome is Outcome.SUCCEEDED:
             self._refused.pop(user, None)

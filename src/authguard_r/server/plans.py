@@ -43,12 +43,7 @@ from authguard_r.server.proposal import (
     TellResult,
     WatchAction,
 )
-from authguard_r.server.proposals import (
-    Keeper,
-    ProposalAnswer,
-    ProposalRegistry,
-    require_same_plan,
-)
+from authguard_r.server.proposals import Keeper, ProposalAnswer, ProposalRegistry, require_same_plan
 from authguard_r.server.what_if import WhatIf
 from authguard_r.wire.disclosure import Disclosure
 from authguard_r.wire.gate_limits import LIMITS
@@ -147,12 +142,7 @@ class Plans:
             return
         dialect = _dialect(asked.dialect)
         proposal = Proposal(
-            client,
-            number,
-            asked,
-            evidence,
-            disclosure=self._disclosure,
-            shadow=self._shadow,
+            client, number, asked, evidence, disclosure=self._disclosure, shadow=self._shadow
         )
         self._open[client.name, asked.key] = proposal
         try:

@@ -49,11 +49,7 @@ def retold(
             "deviation": opened["deviation"][0] / opened["deviation"][1],
             "violated_fields": list(violated_fields(map(Reason, opened["reasons"]))),
             "weights": opened["weights"],
-            "mission": {
-                "mid": link.mid,
-                "version": opened["version"],
-                "digest": opened["mission"],
-            },
+            "mission": {"mid": link.mid, "version": opened["version"], "digest": opened["mission"]},
             "action_digest": link.action,
             "retryable": may_pass_later(tuple(Reason(f["reason"]) for f in findings)),
             "authoritative": True,

@@ -9,7 +9,6 @@ controller stops by itself. Spec page: docs/spec/gate-protocol.md
 from __future__ import annotations
 
 import asyncio
-import os
 from collections import Counter
 from collections.abc import Callable
 from functools import partial
@@ -19,13 +18,13 @@ from authguard_r.access.handshake import welcome_of
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault
 from authguard_r.core.identifiers import Identifier
 from authguard_r.core.reasons import Reason
-from authguard_r.enforcement.json_views import report_json
 from authguard_r.enforcement.leases import quietly
-from authguard_r.enforcement.report import Report, refusal_entry
+from authguard_r.enforcement.report import refusal_entry
 from authguard_r.server.active_mission import ActiveMission
 from authguard_r.server.approval_requests import OpenQuestions
 from authguard_r.server.braking import brakes_of
 from authguard_r.server.contexts import PlannerContexts
+from authguard_r.server.decision_notices import DecisionNotices
 from authguard_r.server.dispatcher import Dispatcher
 from authguard_r.server.emergencies import STRANGE, EmergencyCalls
 from authguard_r.server.event_bus import EventBus
@@ -93,6 +92,9 @@ class Service:
             gate, parts.controller, config.mode, book=self.stops, motions=self.leases
         )
         self._questions = OpenQuestions(gate, self.events.publish)
+        self._notices = DecisionNotices(
+            gate.enforcer, self.queries, self._questions, self.events, self.liveness
+        )
         self._dispatcher = Dispatcher(
             gate,
             plans=self._plans(),
@@ -152,8 +154,8 @@ class Service:
             disclosure=self._config.disclosure,
             shadow=self._config.mode is Mode.SHADOW,
             later=self._later,
-            decided=self._decided,
-            ended=self._ended,
+            decided=self._notices.decided,
+            ended=self._notices.ended,
             answered=self._queue.done,
         )
 
@@ -204,7 +206,7 @@ class Service:
             self._controller.attach(client.tell)
         self._clients.add(client)
         self._hear(client)
-        self._announce(client, here=True)
+        self.events.client(client, here=True)
 
     def came(self, client: ServedClient, item: Frame, *, alone: bool) -> None:
         """Let a frame wait for its turn; serve it now when it comes alone and nothing waits."""
@@ -235,7 +237,7 @@ class Service:
         if client.role is ClientRole.CONTROLLER and self._controller is not None:
             self._controller.detach()
             self.look()
-        self._announce(client, here=False)
+        self.events.client(client, here=False)
 
     def refused(self, name: Identifier, error: AuthGuardError) -> None:
         """Record a request, or a connection, that was refused before it was anything."""
@@ -303,30 +305,6 @@ class Service:
         client.heard_ms = self.gate.ledger.mono_ms()
         self.liveness.hear(client.role)
 
-    # what is told
-
-    def _announce(self, client: ServedClient, *, here: bool) -> None:
-        told = {"client": client.name, "role": client.role, "here": here}
-        self.events.publish({"event": "client", **told})
-
-    def _decided(self, client: ServedClient, report: Report) -> None:
-        """Count and publish a decision."""
-        self.queries.count_decision(report)
-        self._questions.decided(report)
-        self._tell("decision", client, report)
-
-    def _ended(self, client: ServedClient, report: Report) -> None:
-        """Count and publish an outcome."""
-        self.queries.count_outcome(report)
-        self._tell("outcome", client, report)
-
-    def _tell(self, event: str, client: ServedClient, report: Report) -> None:
-        """Tell those who watch, and stop a robot whose planner gets nowhere."""
-        if self.events.wanted:
-            self.events.publish({"event": event, "client": client.name, **report_json(report)})
-        if self._config.mode is Mode.ENFORCE and self.liveness.judge(client.name, report):
-            self.gate.enforcer.stop(by=Identifier("gate"), is_planner=False)
-
     # the clocks
 
     async def run(self) -> None:
@@ -338,8 +316,7 @@ class Service:
             asyncio.create_task(every(LIMITS.maintenance_s, self.log_maintenance.look)),
             asyncio.create_task(every(LIMITS.shred_s, self.retention.look)),
         ]
-        started = {"robot": self._config.robot, "mode": str(self._config.mode), "pid": os.getpid()}
-        self.events.publish({"event": "start", **started, "unclean": self._recovery.unclean})
+        self.events.start(self._config, unclean=self._recovery.unclean)
         try:
             await first(self.ended, clocks)
         finally:

@@ -21,14 +21,7 @@ from authguard_r.server.fair_queue import ServedClient
 from authguard_r.wire.faults import to_fault
 from authguard_r.wire.frames import Frame, FrameReader, frame, read_body
 from authguard_r.wire.gate_limits import LIMITS
-from authguard_r.wire.messages import (
-    PROTOCOL,
-    Hello,
-    Kind,
-    Welcome,
-    opening_bound,
-    request_bound,
-)
+from authguard_r.wire.messages import PROTOCOL, Hello, Kind, Welcome, opening_bound, request_bound
 
 
 class ConnectionHost(Protocol):
@@ -117,8 +110,7 @@ class ServerSession(asyncio.BufferedProtocol):
             self._refuse(error)
             return
         self._timer = self._later(
-            LIMITS.hello_s,
-            lambda: self._refuse(MalformedError("no hello in time", where="hello")),
+            LIMITS.hello_s, lambda: self._refuse(MalformedError("no hello in time", where="hello"))
         )
 
     def get_buffer(self, sizehint: int) -> bytearray:  # noqa: ARG002 - the chunk is always ours

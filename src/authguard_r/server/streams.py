@@ -170,12 +170,7 @@ class Streams:
             now_ms = self._ledger.mono_ms()
             self._open[running.lease.ticket] = _Stream(client, running, gone, now_ms)
 
-    def sample(
-        self,
-        client: Identifier,
-        ticket: Digest,
-        params: dict[str, int],
-    ) -> bool:
+    def sample(self, client: Identifier, ticket: Digest, params: dict[str, int]) -> bool:
         """Forward a sample, or zero in its place; True when it was forwarded as it is.
 
         Args:

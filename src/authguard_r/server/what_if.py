@@ -14,7 +14,7 @@ from msgspec import Struct
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.reasons import Reason
 from authguard_r.enforcement.completion import attested_source
-from authguard_r.enforcement.enforcer import evaluate
+from authguard_r.enforcement.evaluation import evaluate
 from authguard_r.enforcement.leases import quietly
 from authguard_r.enforcement.report import Judged, behind_of, lacks_state
 from authguard_r.normalize import Step

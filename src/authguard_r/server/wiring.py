@@ -22,11 +22,7 @@ from authguard_r.anchoring.sealing.policy import SealingPolicy
 from authguard_r.anchoring.sealing.sealer import Sealer, sealer_of
 from authguard_r.audit.record import Terminal, read_record
 from authguard_r.core.encoding import Tag, b64
-from authguard_r.core.errors import (
-    EnvironmentFault,
-    MalformedError,
-    StoreError,
-)
+from authguard_r.core.errors import EnvironmentFault, MalformedError, StoreError
 from authguard_r.core.facts import SiteFacts
 from authguard_r.core.identifiers import Digest, Identifier, RobotId
 from authguard_r.core.mission import RiskPolicy
@@ -276,11 +272,7 @@ def assemble(
         risk=risk,
     )
     return join(
-        opened,
-        safety=safety,
-        controller=controller,
-        clock=clock,
-        stand_within_ms=stand_within_ms,
+        opened, safety=safety, controller=controller, clock=clock, stand_within_ms=stand_within_ms
     )
 
 

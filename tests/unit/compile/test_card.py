@@ -21,7 +21,7 @@ from authguard_r.authoring.compile.units import to_integer
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.mission import Comparison, Guard, Mission, require_schema
-from authguard_r.enforcement.enforcer import evaluate
+from authguard_r.enforcement.evaluation import evaluate
 from authguard_r.site import formatting
 from authguard_r.site.source import convert
 from fixtures import scenarios
