@@ -18,8 +18,9 @@ from werkzeug import Request, Response
 
 from authguard_r.authoring.compile.answers import compile_plain
 from authguard_r.authoring.compile.card import review
-from authguard_r.authoring.drafting.chat import MAX_REPLY, AnthropicChat, ModelAddress, OpenAIChat
+from authguard_r.authoring.drafting.chat import MAX_REPLY, AnthropicChat, OpenAIChat
 from authguard_r.authoring.drafting.models import AnthropicProposer, OpenAIProposer, parse_free_text
+from authguard_r.authoring.model_client.exchange import ModelAddress
 from authguard_r.cli.draft import check_draft, draft_schema, read_reply
 from authguard_r.core.errors import ClarificationError, EnvironmentFault, MalformedError
 from fixtures import scenarios

@@ -21,7 +21,7 @@ from typing import Any
 
 import pytest
 
-from authguard_r.authoring.drafting.chat import MAX_BODY
+from authguard_r.authoring.model_client.exchange import MAX_BODY
 from authguard_r.cli import call
 from authguard_r.core.encoding import Tag, digest
 from authguard_r.normalize.stated import MAX_FREE_TEXT
@@ -58,8 +58,10 @@ class ModelServer:
         self.body = body or json.dumps({**whole, "choices": [choice]}).encode()
         self.status = status
         self.headers: dict[str, str] = {}
-        #: `drips`: one byte at a time; `hangs`: nothing for a minute
+        #: `drips`: one byte at a time; `headers`: these alone, one byte at a time; `hangs`:
+        #: nothing for a minute
         self.slow = ""
+        self.dripped = 0
         self.done = threading.Event()
         self.asked: list[dict[str, Any]] = []
 
@@ -68,6 +70,12 @@ class ModelServer:
         self.asked.append(json.loads(wire.rfile.read(length)))
         if self.slow == "hangs":
             self.done.wait(60)
+        if self.slow == "headers":
+            wire.wfile.write(b"HTTP/1.1 200 OK\r\nX-Long: ")
+            while self.dripped < 600 and not self.done.wait(0.05):
+                wire.wfile.write(b"x")
+                self.dripped += 1
+            return
         wire.send_response(self.status)
         wire.send_header("Content-Type", "application/json")
         wire.send_header("Content-Length", str(len(self.body)))
@@ -295,7 +303,7 @@ def test_a_huge_or_compressed_response_is_not_read_to_its_end(console: Console) 
     assert "not compressed" in made["refusal"]["message"]
 
 
-@pytest.mark.parametrize("slow", ["drips", "hangs"])
+@pytest.mark.parametrize("slow", ["drips", "headers", "hangs"])
 def test_a_slow_server_is_a_fault_once_the_time_in_all_is_over(slow: str, console: Console) -> None:
     """Each byte of one that drips comes in time, so that no silence ends the exchange."""
     model = ModelServer(WHOLE)
@@ -303,6 +311,7 @@ def test_a_slow_server_is_a_fault_once_the_time_in_all_is_over(slow: str, consol
     code, made = console.read(model, "--timeout", "1")
     assert (code, made["error"]["where"]) == (5, "base_url")
     assert "did not finish its answer within 1 s" in made["error"]["message"]
+    assert model.dripped < 100  # it was left, not read to the end
 
 
 def test_a_draft_has_the_same_time_in_all(console: Console) -> None:

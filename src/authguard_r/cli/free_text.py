@@ -61,19 +61,17 @@ class FreeTextReader(Struct, frozen=True, kw_only=True):
             ClarificationError: the text names something by a name of several things.
             EnvironmentFault: the model does not answer in time, or a part is missing.
         """
-        from authguard_r.authoring.drafting.chat import AnthropicChat, ModelAddress, OpenAIChat
+        from authguard_r.authoring.drafting.chat import AnthropicChat, OpenAIChat
         from authguard_r.authoring.drafting.models import parse_free_text
+        from authguard_r.authoring.model_client.exchange import ModelAddress
 
         text = read_free_text(data)
-        reach = ModelAddress(
-            base_url=self.base_url,
-            model=self.model,
-            api_key_env=self.api_key_env,
-            total_s=self.total_s,
+        address = ModelAddress(
+            base_url=self.base_url, model=self.model, key_env=self.api_key_env or ""
         )
         chat = OpenAIChat if self.protocol is ChatProtocol.OPENAI else AnthropicChat
         made = parse_free_text(
-            chat(reach),
+            chat(address, self.total_s),
             text,
             schema=model_prompt_schema(binding, site),
             read=lambda reply: read_json(reply, where="reply"),

@@ -16,10 +16,9 @@ from typing import Any
 import pytest
 
 from missionpair.briefing import OfferedTool, PlannerError
-from missionpair.planners._anthropic import AnthropicClient
 from missionpair.planners._client import Completion, make_client
 from missionpair.planners._meter import Meter
-from missionpair.planners._openai import OpenAIClient
+from missionpair.planners._protocol import AnthropicClient, OpenAIClient
 from missionpair.planners._reach import ModelEndpoint, Price
 from missionpair.registry import UnknownNameError
 from missionpair.servers import SERVERS, StandInServer

@@ -15,10 +15,10 @@ from urllib.parse import urlsplit
 import pytest
 from msgspec.structs import replace
 
+from authguard_r.authoring.model_client.exchange import MAX_BODY
 from fixtures.cases import case
 from missionpair.planners._client import make_client
 from missionpair.planners._prompt import read_prompt
-from missionpair.planners._sending import MAX_BODY
 from missionpair.servers import SERVERS, StandInServer
 from missionpair.servers._scripted import spelled_out
 

@@ -16,8 +16,9 @@ import msgspec
 from msgspec import Struct
 
 from authguard_r.authoring.drafting.answered import holds, printed
-from authguard_r.authoring.drafting.chat import AnthropicChat, Chat, ModelAddress, OpenAIChat
+from authguard_r.authoring.drafting.chat import AnthropicChat, Chat, OpenAIChat
 from authguard_r.authoring.drafting.proposal import DraftProposal, DraftQuestion
+from authguard_r.authoring.model_client.exchange import ModelAddress
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.site.model import Site
@@ -167,7 +168,7 @@ class _ServerProposer(Struct, frozen=True, kw_only=True):
         total_s: seconds that the answer may take in all.
     """
 
-    speaks: ClassVar[Callable[[ModelAddress], Chat]]
+    speaks: ClassVar[Callable[[ModelAddress, float], Chat]]
     base_url: str
     model: str
     schema: Mapping[str, Any]
@@ -182,15 +183,14 @@ class _ServerProposer(Struct, frozen=True, kw_only=True):
         self, sentence: str, site: Site, *, robot: str | None, settled: Mapping[str, str]
     ) -> DraftProposal:
         """Return the model's draft or questions; see `ModelProposer.propose`."""
-        reach = ModelAddress(
+        address = ModelAddress(
             base_url=self.base_url,
             model=self.model,
-            api_key_env=self.api_key_env,
+            key_env=self.api_key_env or "",
             timeout_s=self.timeout_s,
             retries=self.retries,
-            total_s=self.total_s,
         )
-        chat = type(self).speaks(reach)
+        chat = type(self).speaks(address, self.total_s)
         proposer = ModelProposer(chat, self.schema, self.read, self.check)
         return proposer.propose(sentence, site, robot=robot, settled=settled)
 
@@ -198,13 +198,13 @@ class _ServerProposer(Struct, frozen=True, kw_only=True):
 class OpenAIProposer(_ServerProposer, frozen=True, kw_only=True):
     """A proposer behind any server that speaks the chat completions protocol."""
 
-    speaks: ClassVar[Callable[[ModelAddress], Chat]] = OpenAIChat
+    speaks: ClassVar[Callable[[ModelAddress, float], Chat]] = OpenAIChat
 
 
 class AnthropicProposer(_ServerProposer, frozen=True, kw_only=True):
     """A proposer behind a server that speaks the Messages protocol."""
 
-    speaks: ClassVar[Callable[[ModelAddress], Chat]] = AnthropicChat
+    speaks: ClassVar[Callable[[ModelAddress, float], Chat]] = AnthropicChat
 
 
 class _ModelQuestion(Struct, frozen=True, forbid_unknown_fields=True):

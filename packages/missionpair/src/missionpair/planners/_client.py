@@ -10,8 +10,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Protocol
 
-from msgspec import Struct
-
+from authguard_r.authoring.model_client.protocols import ModelReply
 from missionpair.briefing import OfferedTool, PlannerError
 
 if TYPE_CHECKING:
@@ -24,31 +23,16 @@ if TYPE_CHECKING:
 _OPTIONS = frozenset({"base_url", "model"})
 
 
-class Completion(Struct, frozen=True, kw_only=True):
-    """One whole answer of a model.
+class Completion(ModelReply, frozen=True, kw_only=True):
+    """One whole answer of a model, with what it took.
 
     Args:
-        text: what it wrote, its calls apart.
-        raw: the reply's exact body, in which the normalizer reads calls: a client library would
-            lose an argument that is given twice.
-        called: it made at least one call.
-        declined: its server says that it would not answer.
-        cut: it was not finished: it reached `max_tokens`.
-        model: who answered, as the server says.
-        tokens: read and written, as the server counts; zeros where it does not say.
         took_us: from sending the attempt that was answered to its last byte; waiting for a cap, or
             between attempts, is not the model's time.
         cost_microusd: millionths of a dollar, rounded up; 0 where the price is not known.
         attempts: requests that this answer took.
     """
 
-    text: str
-    raw: bytes
-    called: bool = False
-    declined: bool = False
-    cut: bool = False
-    model: str = ""
-    tokens: tuple[int, int] = (0, 0)
     took_us: int = 0
     cost_microusd: int = 0
     attempts: int = 1

@@ -1,43 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What both protocols share: a request is sent under caps, a reply is held to its shape.
-
-Only the frame of a reply is read here, never a call: what a model says is for the normalizer.
-"""
+"""A model behind a server of one of the two protocols: asked under caps, held to its protocol."""
 
 from __future__ import annotations
 
 import json
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec.structs import asdict, replace
 
+from authguard_r.authoring.model_client.exchange import FaultKind, ModelServerError, library
+from authguard_r.authoring.model_client.protocols import (
+    AnthropicProtocol,
+    Body,
+    ModelProtocol,
+    ModelRequest,
+    OpenAIProtocol,
+)
 from missionpair.briefing import OfferedTool, PlannerError
 from missionpair.planners._client import Completion
 from missionpair.planners._meter import Meter
 from missionpair.planners._reach import SCRIPTED, ModelEndpoint
-from missionpair.planners._sending import library, send
+from missionpair.planners._sending import send
 
-Body = dict[str, Any]
 #: Tokens that a server may add itself, such as its instructions for calling tools.
 _ADDED = 1_000
+#: Of each fault before the first request: a planner's error code, what to do, and where it lies.
+_SET_UP = {
+    FaultKind.MISSING_PACKAGE: ("unreachable", ": install `missionpair[llm]`", ""),
+    FaultKind.ADDRESS: ("unreachable", "", "base_url"),
+    FaultKind.KEY: ("refused", ": set it, or name another one with `key_env`", "key_env"),
+}
 
 
-class ServerReply(Struct, frozen=True):
-    """A reply as it came: its exact bytes, and the object that they are."""
-
-    raw: bytes
-    value: dict[str, Any]
-
-
-class _ShapeError(Exception):
-    """A reply is not one of its protocol."""
-
-
-class SpokenClient(ABC):
+class SpokenClient:
     """A model behind a server of one protocol.
 
     Args:
@@ -49,14 +46,21 @@ class SpokenClient(ABC):
         PlannerError: the package, the key or the address is missing or cannot be used.
     """
 
-    #: The client library's package.
-    library: ClassVar[str]
+    protocol: ClassVar[ModelProtocol]
 
     def __init__(
         self, reach: ModelEndpoint, meter: Meter, *, pause: Callable[[float], None] = time.sleep
     ) -> None:
-        library(self.library)
-        reach.require()
+        try:
+            library(self.protocol.package)
+            reach.require()
+        except ModelServerError as error:
+            code, mend, where = _SET_UP[error.kind]
+            where = where or self.protocol.package
+            raise PlannerError(f"{error.message}{mend}", code=code, where=where) from error
+        if not reach.model:
+            message = "no model is named: say `model=NAME` as its server calls it"
+            raise PlannerError(message, code="refused", where="model")
         self.reach, self.meter, self._pause = reach, meter, pause
 
     @property
@@ -72,7 +76,9 @@ class SpokenClient(ABC):
     @property
     def parameters(self) -> dict[str, Any]:
         """Everything that shapes its answers."""
-        return {**self.reach.published(), **self.meter.published()}
+        reach = self.reach
+        spoken = self.protocol.published(reach.temperature)
+        return {**reach.published(), **self.meter.published(), **spoken}
 
     def complete(
         self, system: str, messages: Sequence[tuple[str, str]], *, seed: int, max_tokens: int
@@ -90,54 +96,34 @@ class SpokenClient(ABC):
         max_tokens: int,
     ) -> Completion:
         """Return the model's answer where it may call tools; see `Client.call_tools`."""
-        said = [(role, _clean(text)) for role, text in messages]
-        body = self.body(_clean(system), said, tools, seed=seed, max_tokens=max_tokens)
+        reach, protocol = self.reach, self.protocol
+        asked = ModelRequest(
+            system=_clean(system),
+            messages=[(role, _clean(text)) for role, text in messages],
+            tools=tools,
+            seed=seed,
+            max_tokens=max_tokens,
+            temperature=reach.temperature,
+        )
+        body = protocol.body(reach, asked)
         most = self._most(body, max_tokens)
-        part = library(self.library)
+        part = library(protocol.package)
         sent = send(
-            self.reach,
+            reach,
             self.meter,
             part,
-            lambda web: self.post(part, web, body),
+            lambda web: protocol.post(part, web, reach, body),
             most_microusd=most,
             pause=self._pause,
         )
         try:
-            done = self.read(ServerReply(sent.body, _object(sent.body)))
-        except _ShapeError as error:
-            raise self.odd(str(error)) from None
+            reply = protocol.read(sent.body)
+        except ModelServerError as error:
+            message = f"the model server at `{reach.base_url}` {error.message}"
+            raise PlannerError(message, code="protocol", where="base_url") from None
+        done = Completion(**asdict(reply), took_us=sent.took_us, attempts=sent.attempts)
         self._require_told_apart(done.model)
-        return self._settled(
-            replace(done, took_us=sent.took_us, attempts=sent.attempts), set_aside=most
-        )
-
-    @abstractmethod
-    def post(self, part: Any, web: Any, body: Body) -> bytes:
-        """Send a request and return the reply's exact body."""
-
-    @abstractmethod
-    def body(
-        self,
-        system: str,
-        messages: Sequence[tuple[str, str]],
-        tools: Sequence[OfferedTool],
-        *,
-        seed: int,
-        max_tokens: int,
-    ) -> Body:
-        """Return what is sent."""
-
-    @abstractmethod
-    def read(self, reply: ServerReply) -> Completion:
-        """Return what a reply says; its calls are left to the normalizer."""
-
-    def odd(self, message: str) -> PlannerError:
-        """Return the fault of a reply that is none."""
-        return PlannerError(
-            f"the model server at `{self.reach.base_url}` sent no reply of its protocol: {message}",
-            code="protocol",
-            where="base_url",
-        )
+        return self._settled(done, set_aside=most)
 
     def _most(self, body: Body, max_tokens: int) -> int:
         """Return the most that one attempt can cost: no token is shorter than a byte."""
@@ -167,40 +153,18 @@ class SpokenClient(ABC):
         )
 
 
+class OpenAIClient(SpokenClient):
+    """A model behind a server of the chat completions protocol."""
+
+    protocol = OpenAIProtocol()
+
+
+class AnthropicClient(SpokenClient):
+    """A model behind a server of the Messages protocol."""
+
+    protocol = AnthropicProtocol()
+
+
 def _clean(text: str) -> str:
     """Return a text without halves of characters, which no server could be sent."""
     return text.encode(errors="replace").decode()
-
-
-def _object(raw: bytes) -> dict[str, Any]:
-    try:
-        value = json.loads(raw)
-    except (ValueError, RecursionError):
-        raise _ShapeError("expected JSON") from None
-    return object_of(value, "reply")
-
-
-def object_of(value: Any, where: str) -> dict[str, Any]:
-    """Return the value when it is an object; else the reply is none of its protocol."""
-    found: dict[str, Any] = expect(value, dict, where)
-    return found
-
-
-def expect(value: Any, kind: type[Any], where: str) -> Any:
-    """Return the value when it is of the kind; else the reply is none of its protocol."""
-    if isinstance(value, kind):
-        return value
-    raise _ShapeError(f"expected {'an object' if kind is dict else 'a list'} at `{where}`")
-
-
-def text_of(value: Any) -> str:
-    """Return a text, and the empty one where there is none."""
-    if value is None or isinstance(value, str):
-        return value or ""
-    raise _ShapeError("expected text")
-
-
-def count(usage: Any, name: str) -> int:
-    """Return a count of tokens, 0 where a server does not say it."""
-    found = usage.get(name) if isinstance(usage, dict) else None
-    return found if type(found) is int and found >= 0 else 0

@@ -7,9 +7,9 @@ How-to: docs/howto/missionpair-models.md
 
 from __future__ import annotations
 
-from missionpair.planners._anthropic import AnthropicClient
 from missionpair.planners._client import held
 from missionpair.planners._live import PlannerMaker
+from missionpair.planners._protocol import AnthropicClient
 
 make = PlannerMaker(
     speaks=held(AnthropicClient),

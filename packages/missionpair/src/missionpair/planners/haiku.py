@@ -7,9 +7,9 @@ Source: `tab:pilot-live-llm`, `tab:pilot-adaptive-haiku`. How-to: docs/howto/mis
 
 from __future__ import annotations
 
-from missionpair.planners._anthropic import AnthropicClient
 from missionpair.planners._client import held
 from missionpair.planners._live import PlannerMaker
+from missionpair.planners._protocol import AnthropicClient
 
 make = PlannerMaker(
     speaks=held(AnthropicClient),

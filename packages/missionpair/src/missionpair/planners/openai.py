@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from missionpair.planners._client import held
 from missionpair.planners._live import PlannerMaker
-from missionpair.planners._openai import OpenAIClient
+from missionpair.planners._protocol import OpenAIClient
 
 make = PlannerMaker(
     speaks=held(OpenAIClient),

@@ -18,8 +18,8 @@ from threading import Event, Lock, Thread
 from types import TracebackType
 from typing import Any, ClassVar, Self
 
+from authguard_r.authoring.model_client.exchange import MAX_BODY
 from missionpair.planners._reach import SCRIPTED
-from missionpair.planners._sending import MAX_BODY
 from missionpair.servers._scripted import Behavior, ScriptedAnswer, ScriptedQuestion, behavior_of
 
 _LOOPBACK = "127.0.0.1"
