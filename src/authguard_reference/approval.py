@@ -295,7 +295,7 @@ def step_7(
         now: The two clocks.
         standing: The standing, or None.
         approvals: The authentic answers.
-        preapprovals: What was agreed to before anybody asked.
+        preapprovals: What was agreed to before the question.
         issuer: The issuer as its certificate names it; None for one person.
 
     Returns:

@@ -20,7 +20,7 @@ def signed_by(who: Json) -> Signed:
         who: A person or a group, as the certificate names it.
 
     Returns:
-        How many, of whom; 0 of nobody for a group whose members are unknown.
+        How many, of how many; (0, 0) for a group whose members are unknown.
     """
     members = frozenset(who.get("members", []))
     threshold = who.get("threshold", 1)
@@ -32,7 +32,7 @@ def signed_by(who: Json) -> Signed:
 
 
 def is_another(approver: Json, issuer: Json) -> bool:
-    """Decide whether somebody approved who cannot be behind the mission's signature.
+    """Decide whether a person approved who cannot be behind the mission's signature.
 
     Args:
         approver: Who approved.
@@ -43,9 +43,9 @@ def is_another(approver: Json, issuer: Json) -> bool:
     """
     count, people = signed_by(approver)
     own = signed_by(issuer)[1]
-    if len(own) == 0:  # anybody may have signed the mission
+    if len(own) == 0:  # any member may have signed the mission
         return False
-    if len(people) == 0:  # anybody may have approved, but one person is no group
+    if len(people) == 0:  # any member may have approved, but one person is no group
         return len(own) == 1
     return len(people & own) < count
 

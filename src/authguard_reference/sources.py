@@ -11,13 +11,13 @@ ALL: list[str] = [*SIGNED, "trusted_sensor", *UNTRUSTED]
 
 
 def label_of_signer(role: str) -> str:
-    """Name the label of what somebody signs.
+    """Name the label of what a person signs.
 
     Args:
         role: The role of the signer's certificate.
 
     Returns:
-        operator for an operator, supervisor for whoever stands above.
+        operator for an operator, supervisor for a role above.
     """
     return "operator" if role == "operator" else "supervisor"
 

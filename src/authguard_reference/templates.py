@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Filling a template, as docs/spec/template.md says it: values for holes, and nothing else.
 
-Takes plain data. What it returns is held to the mission's schema by whoever asks.
+Takes plain data. The caller holds what it returns to the mission's schema.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ def fills(template: Json) -> list[Json]:
 def covers(template: Json, template_digest: str, instance: Json, length_ms: int) -> bool:
     """True when an instance says nothing that the template's signer did not sign.
 
-    Whether it ends by `not_after`, and how many there were, is asked by whoever knows the time.
+    The caller, which knows the time, asks whether it ends by `not_after`, and how many there were.
     """
     return (
         instance["template"] == template_digest

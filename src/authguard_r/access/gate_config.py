@@ -42,7 +42,8 @@ class Peer(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, 
         uid: the user's number, as the kernel says it of a connected socket.
         roles: sorted and unique.
         mediates: it is the user of an enforcement point alone, such as the node on ROS 2 or a
-            gateway: it asks for planners that run as others, and drives. Whoever signs this says
+            gateway: it asks for planners that run as others, and drives. What the signer of this
+                configuration states
             that no planner runs as this user.
     """
 
@@ -80,7 +81,8 @@ class GateConfig(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=
         witness_ms: nothing was witnessed for so long, though there is something: an alert; 0: none.
         segment_records: while so many records lie in the store, the oldest go into a sealed
             segment beside it; 0: never.
-        readers: who may read which sealed fields of the log; what nobody may, lies open.
+        readers: who may read which sealed fields of the log; a field without readers is stored
+            unsealed.
         retention: how long sealed fields are kept, for each class at most one rule, sorted.
     """
 

@@ -21,7 +21,7 @@ from authguard_r.wire.messages import ClientRole
 
 #: `struct ucred`: process, user, group.
 _UCRED = struct.Struct("iII")
-#: What the kernel says for nobody: an unconnected socket.
+#: Peer credentials that the kernel reports for an unconnected socket.
 _NO_USER = 0xFFFF_FFFF
 #: What the kernel says for every user of another user namespace that has no number here.
 OVERFLOW_UID = 65_534
@@ -72,7 +72,7 @@ def client_role(config: GateConfig, uid: int, wanted: ClientRole) -> ClientRole:
     Args:
         config: the signed configuration.
         uid: from `peer_of`.
-        wanted: from the client's hello, so from anybody.
+        wanted: from the client's hello, so untrusted.
 
     Raises:
         AuthenticityError: the configuration does not give the user this role.

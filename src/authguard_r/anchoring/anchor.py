@@ -2,9 +2,9 @@
 """Holds a store to what is outside of it: compared at the start, told before what has no undo.
 
 Outside are a counter and witnesses; the doubt of one is enough. A store that is ahead of them is
-one whose gate died in between, and is fine. One that is behind, or beside them, was put there by
-somebody: then nothing is decided and nothing ordered until a person accepts, signed, that this is
-the store to go on with. Spec page: docs/spec/rollback.md
+one whose gate died in between, and is fine. A store that is behind them, or does not contain them,
+was replaced: the gate decides nothing and takes no order until a person signs that this is the
+store to continue with. Spec page: docs/spec/rollback.md
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class CounterReading(Struct, frozen=True):
 
 
 def read_counter(counter: Counter | None, *, verifier: Verifier) -> CounterReading:
-    """Return what the counter holds; whatever is wrong with it is part of the answer."""
+    """Return what the counter holds; a fault of the counter is part of the answer."""
     if counter is None:
         return CounterReading()
     try:
@@ -178,7 +178,7 @@ class StoreAnchor:
                 return self.put_back()
             began = self._notary.silence()
         except AuthGuardError:
-            return ()  # the store cannot be written: nothing is released, and somebody is told
+            return ()  # the store cannot be written: nothing is released, and an alert is raised
         if began is None:
             return ()
         return (AnchorNotice(SILENT, {"records": self._notary.unwitnessed}, over=not began),)
@@ -314,7 +314,7 @@ class StoreAnchor:
 
     def _write(self, counter: Counter, signer: Signer) -> None:
         """Write the place that is known; the lock is held."""
-        # before it is written: two notes of one number must not exist, whatever becomes of this one
+        # before it is written: two notes of one number must not exist, even if this one is lost
         self._number += 1
         counted = CounterNote(
             robot=self._robot,

@@ -42,7 +42,7 @@ class CheckpointScheduler:
     Args:
         ledger: the store.
         robot: whose it is.
-        signer: the gate's own key; None makes none and asks nobody.
+        signer: the gate's own key; None makes no checkpoints and asks no witness.
         policy: when, and whom.
     """
 

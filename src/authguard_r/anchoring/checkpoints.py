@@ -131,7 +131,7 @@ class Checkpoints:
     def fits(self) -> bool:
         """Return whether the log is the one that the store's own checkpoint and tree speak of.
 
-        Nobody has looked at a signature: the key may have been another one's then.
+        The signature is not checked: the key may have been another one's then.
         """
         try:
             return self._ledger.peek(self._fits)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The outside counter: a signed note of how far the log had come, kept where the store is not.
 
-Whoever puts an old store back has a log that is whole in itself; only something outside of it
-knows that there was more. Spec page: docs/spec/rollback.md#the-counter
+A store that was put back has a log that is complete in itself; only something outside of it knows
+that there were more records. Spec page: docs/spec/rollback.md#the-counter
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Counter(Protocol):
         """Return the note, None when there never was one.
 
         Raises:
-            EnvironmentFault: it cannot be read, so nobody knows whether there is one.
+            EnvironmentFault: it cannot be read, so it is unknown whether there is one.
         """
         ...
 
@@ -128,7 +128,7 @@ class FileCounter:
         if not self.path.parent.is_dir():
             raise self._fault("read", "its folder is not there: is it mounted?")
         try:
-            # never waits for somebody to write into a pipe that was put here
+            # never waits for a writer of a pipe that was put here
             file = os.open(self.path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
         except FileNotFoundError:
             return None

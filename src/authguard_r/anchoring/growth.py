@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """How much of a log each mission wrote, counted as the log grows and never from its beginning.
 
-Counted in the turn that makes a checkpoint, which has the rows in hand; what came since is counted
-by whoever asks. Spec page: docs/spec/store.md#growth
+Counted in the turn that makes a checkpoint, which already reads the rows. The caller counts the
+records since then. Spec page: docs/spec/store.md#growth
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from authguard_r.wire.gate_limits import LIMITS
 
 #: Where the counts lie: one for each mission, and how many records were counted.
 KIND, COUNTED = "growth", " counted"
-#: In front of the mission's name in a record; a bare quotation mark begins or ends a text, so no
-#: words of anybody's spell this, and nothing before the link has a field of that name.
+#: In front of the mission's name in a record. A bare quotation mark begins or ends a text, so no
+#: untrusted text can contain this, and nothing before the link has a field of that name.
 _MID, _LINK = b'"mid":"', b'"link":{'
 
 

@@ -56,7 +56,7 @@ def require_place(place: WitnessPlace, *, where: str) -> NoteKey:
 
 
 def _is_here(scheme: str, host: str) -> bool:
-    """Return whether this is HTTP to this machine itself, by address: a name is anybody's."""
+    """Return whether this is HTTP to a loopback address; a name can be resolved to any address."""
     with suppress(ValueError):
         return scheme == "http" and ip_address(host).is_loopback
     return False

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a store's witnesses have confirmed, and what they say against it.
 
-One checkpoint goes round at a time, the newest when the round begins; a round is over when enough
-have cosigned it or nobody is left to answer. Everything here is called by the one thread that
+One checkpoint is sent out at a time, the newest when the round begins. A round is over when enough
+witnesses have cosigned it or all have answered. Everything here is called by the one thread that
 holds the store; only bytes leave it. Spec page: docs/spec/rollback.md#witnesses
 """
 

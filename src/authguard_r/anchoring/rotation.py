@@ -134,7 +134,7 @@ class Rotation:
     def _give_up(self, error: AuthGuardError) -> tuple[AnchorNotice, ...]:
         """Free what was written so far, and try again later; raise the alert once."""
         self._again_ms = self._ledger.mono_ms() + LIMITS.rotation_again_ms
-        with suppress(StoreError):  # else the next start removes what nobody reads
+        with suppress(StoreError):  # else the next start removes what is not read
             self._mover.abandon()
         if self._stuck:
             return ()

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The client of a witness: bytes to it and its answer back, in a thread of its own.
 
-C2SP's tlog-witness over HTTP. A thread is given bytes and gives bytes: it knows no store and no
-key, and nobody waits for it longer than he wants to. Spec page: docs/spec/rollback.md#witnesses
+C2SP's tlog-witness over HTTP. A thread takes bytes and returns bytes: it has no store and no key,
+and the caller chooses how long it waits for the thread. Spec page: docs/spec/rollback.md#witnesses
 """
 
 from __future__ import annotations
@@ -153,7 +153,7 @@ class Courier:
 
 
 def exchange(url: SplitResult, body: bytes, until: float) -> WitnessReply:
-    """Return what a witness answers; whatever goes wrong is `NOTHING`.
+    """Return what a witness answers; any error is `NOTHING`.
 
     Args:
         url: of the witness.
@@ -201,7 +201,7 @@ def _reached(host: str, port: int, until: float) -> socket.socket:
     All of them share the time that is left: who has a name's say can give it as many as he likes.
 
     Raises:
-        OSError: nobody does.
+        OSError: no process listens there.
     """
     failed: OSError = ConnectionRefusedError()
     for *_, place in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM):

@@ -50,7 +50,7 @@ class Selection(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=T
         row: index of the row among its alternatives.
         nonce: fresh random bytes; a choice is taken in once, so that an old one undoes no new one.
         expires_ms: trusted time after which the choice is not taken in.
-        issued_ms: when it was signed, by its signer's clock; 0 where nobody said.
+        issued_ms: when it was signed, by its signer's clock; 0 when it is not given.
     """
 
     mid: MissionId

@@ -97,7 +97,7 @@ def find_asked(
         opened: opens a row of the log.
 
     Raises:
-        AuthGuardError: nobody's signature stands behind the mission now.
+        AuthGuardError: the mission has no valid signature now.
     """
     standing = act.standing(said.mid)
     if standing is None or act.active() != said.mid:
@@ -161,7 +161,7 @@ def behind(asked: OpenRequest, items: tuple[VerifiedApproval, ...], now: Now) ->
 def why_not(asked: OpenRequest | None, item: VerifiedApproval, now: Now) -> str:
     """Return the code of why an answer does not count; empty when it does.
 
-    The check decides; this only names what is wrong, for whoever answered and for the log.
+    The check decides; this only names what is wrong, for the person who answered and for the log.
 
     Args:
         asked: the open request of its number; None when there is none.
@@ -191,7 +191,7 @@ def why_not(asked: OpenRequest | None, item: VerifiedApproval, now: Now) -> str:
         (not signer.scope.covers(said.rid, asked.action.places), Reason.SIGNER_OUT_OF_SCOPE),
     )
     found = [reason for is_wrong, reason in wrong if is_wrong]
-    # somebody who may be behind the mission's signature already, or a group of such people
+    # a person who may be behind the mission's signature already, or a group of such people
     return str(found[0] if found else Reason.ISSUER_MISMATCH)
 
 
@@ -201,13 +201,13 @@ def note_request(act: Transaction, mid: MissionId, counter: int, seq: int) -> No
 
 
 def record_of(act: Transaction, mid: MissionId, counter: int) -> int | None:
-    """Return the number of the record in which a request was opened; None: nobody noted it."""
+    """Return the number of the record in which a request was opened; None when there is none."""
     held = act.get(_HELD, _key(mid, counter))
     return int(held) if held is not None and held.isdigit() else None
 
 
 def is_denied(asked: OpenRequest, items: tuple[VerifiedApproval, ...], now: Now) -> bool:
-    """True when somebody who may answer denied."""
+    """True when a person who may answer denied."""
     return any(
         item.approval.verdict is ApprovalVerdict.DENY and not why_not(asked, item, now)
         for item in items

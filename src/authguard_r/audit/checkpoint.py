@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A checkpoint: how long a log was, the root of its tree, and where its chain ended.
 
-It is worth something when it is kept where nobody who can write the log can write it: by a
-witness, an auditor, an outside counter. The text is C2SP's tlog-checkpoint with one extension
-line. Spec page: docs/spec/checkpoint.md
+It is useful when it is kept where writers of the log cannot change it: by a witness, an auditor or
+an outside counter. The text is C2SP's tlog-checkpoint with one extension line. Spec page:
+docs/spec/checkpoint.md
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ _MOST = (1 << 53) - 1
 
 
 class Checkpoint(Struct, frozen=True, kw_only=True):
-    """What a checkpoint says, before or after anybody signed it.
+    """What a checkpoint says, signed or not.
 
     Args:
         origin: which log; `origin_of` a robot's.
         size: number of records.
         root: of the tree over their links, 32 bytes.
-        chain: L_{size-1}; None in a checkpoint of somebody else's log.
+        chain: L_{size-1}; None in a checkpoint of another program's log.
     """
 
     origin: str

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What of a record stays closed: sealed for others, or destroyed for everybody.
+"""Which values of a record cannot be read: sealed for other readers, or destroyed.
 
 A box that a reader cannot open lies beside the record as it was stored; of one that was destroyed,
-or whose keys were, the record has the commitment alone. Whoever shows a record says which of the
-two it is: what is not told is not the same as what never was.
-Spec page: docs/spec/sealed-fields.md#reading
+or whose keys were, the record has the commitment alone. A display of a record says which of the two
+it is: a value that is not shown differs from one that never existed. Spec page:
+docs/spec/sealed-fields.md#reading
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _ACTION = ("action", ACT, OBJECT, PARAMS, REGIONS)
 
 
 class Closed(Struct, frozen=True, kw_only=True):
-    """What of one record cannot be read. The names are whoever's who wrote the log.
+    """What of one record cannot be read. The writer of the log chose the names.
 
     Args:
         sealed: the classes whose keys the reader lacks.
@@ -81,7 +81,7 @@ def closed_of(
         record: as it was opened, as far as that went.
         names: of what lies beside it then.
         has: the classes that the reader has keys of; what is closed is so for lack of another.
-        lost: the classes of its mission of which nobody has keys any more, as far as that is known.
+        lost: the classes of its mission whose keys are destroyed, as far as that is known.
     """
     boxes = {tuple(name.removeprefix(BOX).split("+")): gone for name, gone in _boxes(record, names)}
     wraps = [n for n in record.committed if n.startswith(WRAP) and n not in names]

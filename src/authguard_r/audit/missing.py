@@ -2,9 +2,9 @@
 """Values that lie beside no record any more, though no order in the log explains it.
 
 Only an order to destroy sealed fields, by a person or by the signed retention, lets values go, and
-only those in boxes. Anybody who can write the file can take others away; the chain stays whole
-then, for a record commits to its values and does not hold them. Memory is bounded.
-Spec page: docs/spec/audit-record.md#missing
+only those in boxes. A writer of the file can remove other values. The chain stays valid then, for a
+record commits to its values and does not contain them. Memory is bounded. Spec page:
+docs/spec/audit-record.md#missing
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from msgspec.structs import replace
 from authguard_r.audit.record import BOX, WRAP
 from authguard_r.core.identifiers import Count
 
-#: The order that destroys, whoever gives it (`commands.Verb.SHRED`).
+#: The order that destroys values (`commands.Verb.SHRED`).
 _ORDER = "shred"
 #: Fields that lie in no box.
 _NEVER_BOXED = frozenset({"now", "site", "safety", "policy", "list"})

@@ -65,7 +65,7 @@ class NoteSignature(Struct, frozen=True):
 
 
 class Note(Struct, frozen=True):
-    """A note whose signatures nobody has looked at yet.
+    """A note whose signatures are not checked yet.
 
     Args:
         text: with its last newline.
@@ -122,7 +122,7 @@ def read_key(text: str, *, where: str) -> NoteKey:
     """Return the verifier key that a text spells.
 
     Args:
-        text: `name+id+base64`, from whoever is trusted to know it.
+        text: `name+id+base64`, from a trusted source.
         where: for errors.
 
     Raises:

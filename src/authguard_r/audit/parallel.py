@@ -2,9 +2,9 @@
 """A long log is verified by several processes, a piece at a time each.
 
 One process reads the rows, once and in order, as `verify_rows` does; it hands pieces of them to
-others, verifies some itself, and joins each when its turn comes. What is wrong with a log nobody
-else tells it: at the first piece that does not join it goes on by itself, with the rows that it
-kept. So the answer is that of `verify_rows`, word for word, and one that got no answer is none.
+others, verifies some itself, and joins each when its turn comes. Each worker finds the faults of a
+log by itself: at the first piece that does not join, it continues with the rows that it kept. So
+the answer is that of `verify_rows`, word for word, and one that got no answer is none.
 
 Spec page: docs/spec/audit-record.md#verification
 """
@@ -38,7 +38,7 @@ from authguard_r.audit.verify import (
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault
 from authguard_r.core.reasons import Reason
 
-#: Records that are verified before anybody helps: starting a process takes as long.
+#: Records that are verified before a second process helps: starting a process takes as long.
 ALONE = 10_000
 #: Most processes that are started without being asked for.
 MOST_JOBS = 8

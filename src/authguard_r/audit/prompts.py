@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """How often a person was asked for each mission: the figure that says whether consent still means.
 
-Whoever is asked fifty times in five minutes clicks "allow all". A person is asked by a mission or a
-template that wants a signature, by an approval request, and by a row that is theirs to choose.
+A person who is asked fifty times in five minutes clicks "allow all". A person is asked by a mission
+or a template that wants a signature, by an approval request, and by a row that is theirs to choose.
 Spec page: docs/spec/template.md#prompts
 """
 
@@ -23,7 +23,7 @@ class Prompts(Struct, frozen=True, kw_only=True):
 
     Args:
         missions: missions that were made active, every version of one counted once.
-        signatures: mission versions and templates that somebody signed for them.
+        signatures: mission versions and templates that people signed for them.
         requests: approval requests that were opened.
         choices: rows that were chosen by a signature.
     """
@@ -35,7 +35,7 @@ class Prompts(Struct, frozen=True, kw_only=True):
 
     @property
     def asked(self) -> int:
-        """How often a person was asked, for whatever reason."""
+        """How often a person was asked, for any reason."""
         return self.signatures + self.requests + self.choices
 
     @property

@@ -43,7 +43,7 @@ class Record(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         link: what `eq:log` binds; `evidence` is the digest of everything below.
         kind: `genesis`, `decision`, `outcome`, `management`, `refusal`, `stop`, `alert`,
             `intake`.
-        open: what anybody with the log may read.
+        open: what every reader of the log may read.
         committed: commitment by name.
     """
 
@@ -95,8 +95,8 @@ class Entry(Struct, frozen=True, kw_only=True):
 def ends_motion(kind: str, decision: str) -> bool:
     """True for a record after which no decision rests on state that was measured before it.
 
-    The robot's motion has ended with it, or nobody knows what the robot did until then: after a
-    stop, and before a person says that the mission goes on.
+    The robot's motion has ended with it, or the motion until then is unknown: after a stop, and
+    before a person says that the mission goes on.
     """
     if kind == "management":
         return decision in _GOES_ON

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sealed fields: what of a record only some roles may read, and what may be destroyed later.
 
-The fields of a record fall into classes. Those of the classes that a gate seals lie in boxes
-beside the record, one for each set of classes, encrypted with AES-256-GCM under the keys of all
-classes of the set: who lacks one of them reads nothing of it, and once one is destroyed nobody
-does. The record commits to every field by itself, with a salt that lies in the box, and to the
+The fields of a record fall into classes. Values of sealed classes lie in envelopes beside the
+record, one for each set of classes, encrypted with AES-256-GCM under the keys of all classes of the
+set. A reader needs every key of the set; once one of them is destroyed, the envelope cannot be
+opened. The record commits to every field by itself, with a salt that lies in the box, and to the
 box: who has no key verifies the chain as ever, who has one holds each value to its commitment.
 
 A sealed action would be guessed from its digest, so a record with boxes links a salted one.
@@ -98,8 +98,7 @@ class Cover(Struct, frozen=True, kw_only=True):
     Args:
         robot: whose log it is.
         keys: number of the record that tells who may have them.
-        classes: 32 secret bytes of each class that is sealed; others lie open to whoever has the
-            log.
+        classes: 32 secret bytes of each class that is sealed; other classes are not encrypted.
         ciphers: what was made of them; they are forgotten together.
     """
 
@@ -181,7 +180,7 @@ def opened(row: LogRow, *, robot: RobotId, key_of: KeyOf) -> LogRow:
     The chain does not bind this row any more: what is verified is the one that was given.
 
     Args:
-        row: as it is stored; anybody may have written it.
+        row: as it is stored; untrusted.
         robot: whose log it is.
         key_of: the reader's keys.
 

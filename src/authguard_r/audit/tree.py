@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The Merkle tree over the links of a log, and proofs out of it.
 
-Leaf i is L_i. A root stands for the whole log in 32 bytes; a few hashes show that one record is in
-it (inclusion), or that a longer log begins with a shorter one (consistency), to somebody who has
-neither. The hashes are RFC 6962's, so that any witness can check them.
+Leaf i is L_i. A root stands for the whole log in 32 bytes. A few hashes prove that one record is in
+it (inclusion), or that a longer log begins with a shorter one (consistency), without the log. The
+hashes are RFC 6962's, so that any witness can check them.
 
 Source: RFC 6962 section 2.1; theorem "Tamper evidence of the anchored log".
 Spec page: docs/spec/checkpoint.md#tree

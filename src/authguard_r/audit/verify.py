@@ -138,7 +138,7 @@ def verify_rows(
     """Return whether the chain holds, and whether it fits what is known from outside.
 
     Args:
-        rows: the log, in order, from a store that nobody trusts.
+        rows: the log, in order, from an untrusted store.
         terminal: an authentic signed terminal digest, None when there is none.
         anchors: what authentic checkpoints say of it; of two that say as much the later one is
             told of.
@@ -376,8 +376,8 @@ class _Chain:
             return f"expected record {seq}, found {link.seq}: missing, inserted or reordered"
         if link.prev != self.head:
             return "does not follow the record before it"
-        # a bare quotation mark only begins or ends a text, and there is no object before the
-        # link's or in it: so neither mark can be a part of somebody's words
+        # a bare quotation mark only begins or ends a text, and there is no object before the link's
+        # or in it: so untrusted text can contain neither mark
         first = data.index(_LINK)
         end = data.index(_OPEN, first) + 1
         linked = sha256(_AUDIT + data[first + len(_LINK) - 1 : end]).digest()

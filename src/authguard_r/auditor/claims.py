@@ -20,7 +20,7 @@ T = TypeVar("T")
 
 
 def claimed(token: Any, kind: type[T], *, tag: Tag) -> T:
-    """Return what a token says, whoever signed it.
+    """Return what a token says; its signature is not checked.
 
     Raises:
         MalformedError: no canonical token of this kind.

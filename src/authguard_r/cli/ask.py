@@ -31,7 +31,7 @@ def may_ask(*, as_json: bool, no_input: bool) -> bool:
 def confirm_shown(lines: list[str], question: str, *, as_json: bool) -> bool:
     """Return, once the lines were shown and the answer was yes, whether a person gave it.
 
-    A `y` that comes through a pipe is a script's, whoever wrote the script.
+    A `y` that comes through a pipe was written by a script, not by a person.
 
     Raises:
         typer.Abort: no, or standard input ended.

@@ -146,7 +146,7 @@ def _lines(report: BindingReport) -> list[str]:
 
 
 def _assumed(report: BindingReport) -> list[str]:
-    """Return the line that says of which tools nobody asks whether they have done their work."""
+    """Return the line that lists the tools whose answers are not checked for success."""
     if not report.assumed:
         return []
     places = ", ".join(report.assumed)

@@ -77,7 +77,7 @@ def demo(
 
 
 def _set_up(out: Path | None) -> _Stage:
-    """Make keys for everybody; the story begins today at 14:05 UTC."""
+    """Make keys for every role; the story begins today at 14:05 UTC."""
     files = bundled_hospital()
     folder = out or Path(tempfile.mkdtemp(prefix="authguard-demo-"))
     site = read_site(files / "site.yaml")

@@ -114,7 +114,7 @@ def _fitted(ros: RosMap, path: Path, setup: GateSetup) -> Iterator[Advice]:
 
 
 def _clocks(ros: RosMap) -> Iterator[Advice]:
-    """Whether somebody may say what time it is: our nodes never ask, the robot's own may."""
+    """Whether `/clock` may set the time: our nodes ignore it, the robot's own may use it."""
     found = [name for name, rights in rights_of(ros).items() if _CLOCK in rights.publish]
     for enclave in found:
         message = f"`{enclave}` may publish `/clock`: it stops every timer under `use_sim_time`"
@@ -242,7 +242,7 @@ def _keystore(ros: RosMap, folder: Path, uid: int) -> Iterator[Advice]:
 
 
 def _owners(homes: Mapping[str, Path], uid: int) -> Iterator[Advice]:
-    """Whether each key is one user's, and nobody else can put anything in a file's place."""
+    """Whether each key is one user's, and no other user can put anything in a file's place."""
     from authguard_r.integrations.ros.keystore import KEY
 
     owners: dict[int, list[str]] = {}

@@ -345,7 +345,7 @@ def _written(site: Site, robot: RobotId) -> Iterator[str]:
         )
 
 
-#: Somebody who knows the robot decides what an emergency is: this is one that shows.
+#: A person who knows the robot decides what an emergency is: this is an example.
 _GUARDED = (
     "    guards:\n"
     "      - {variable: battery_permille, comparison: le, value: 150, max_age: 500 ms}\n"

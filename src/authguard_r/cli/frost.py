@@ -63,7 +63,7 @@ def deal_command(
     out: OutFolder,
     as_json: JsonFlag = False,
 ) -> int:
-    """Make a group's key and everybody's share; the dealer knows it all (see `dkg`)."""
+    """Make a group's key and each member's share; the dealer knows all of them (see `dkg`)."""
     _require_extra()
     from authguard_r.cli import frost_keys
 
@@ -78,7 +78,7 @@ def plan_command(
     out: OutFile,
     as_json: JsonFlag = False,
 ) -> int:
-    """Say who makes a key together; everybody gets this file."""
+    """List who makes a key together; every member gets this file."""
     _require_extra()
     from authguard_r.cli import frost_keys
 
@@ -93,7 +93,7 @@ def offer_command(
     out: OutFile,
     as_json: JsonFlag = False,
 ) -> int:
-    """Round 1: make your own secret, and an offer for everybody."""
+    """Round 1: make your own secret, and an offer for every member."""
     _require_extra()
     from authguard_r.cli import frost_keys
 

@@ -38,7 +38,7 @@ def load_share(path: Path, passphrase_file: Path | None = None) -> Share:
     """Return a secret share, plain or sealed; whether it fits, `require_share` says.
 
     Raises:
-        EnvironmentFault: it cannot be read, or is sealed and nobody says the passphrase.
+        EnvironmentFault: it cannot be read, or is sealed and there is no passphrase.
         MalformedError: it holds none.
         AuthenticityError: the passphrase is wrong, or the file was changed.
     """
@@ -49,7 +49,7 @@ def opened(path: Path, passphrase_file: Path | None = None) -> bytes:
     """Return what is in a file, plain or sealed.
 
     Raises:
-        EnvironmentFault: it cannot be read, or is sealed and nobody says the passphrase.
+        EnvironmentFault: it cannot be read, or is sealed and there is no passphrase.
         MalformedError: it is sealed and damaged.
         AuthenticityError: the passphrase is wrong, or the file was changed.
     """
@@ -117,7 +117,7 @@ def require_absent(*paths: Path) -> None:
 
 
 def group_lines(group: Group) -> list[str]:
-    """Return a group for people; whoever compares the digest by voice has the same group."""
+    """Return a group for people; two people who compare equal digests have the same group."""
     return [
         f"{group.id}: {group.threshold} of {len(group.members)} sign together",
         *(f"  {place} {name}" for place, name in enumerate(group.members, 1)),

@@ -76,7 +76,7 @@ class GroupSigner(Struct, frozen=True):
 
 
 class RequestPlace(Struct, frozen=True, kw_only=True):
-    """Where requests are: at a gate that runs, or in a store that nobody has open.
+    """Where requests are: at a running gate, or in a store that no process has open.
 
     Args:
         gate: the gate's run folder or socket.
@@ -160,7 +160,7 @@ def _question(counter: int, place: RequestPlace) -> Question:
 
 
 def _nobody(event: dict[str, Any]) -> None:
-    """Tell nobody: no process watches a store."""
+    """Notify no client: no process watches a store."""
 
 
 def commit(
@@ -206,7 +206,7 @@ def give(
     if not yes:
         question = f"Sign exactly this, as {owner(share)} of {share.group.id}?"
         confirm_shown(lines, question, as_json=as_json)
-    # from here on these nonces are spent, whatever happens
+    # from here on these nonces are spent, also after a crash
     part = signing.sign(session, share, NonceStore(nonces).take(mine))
     store(out, part)
     payload = {"file": str(out), "member": owner(share), "ballot": plain(asked)}

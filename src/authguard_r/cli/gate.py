@@ -82,8 +82,8 @@ def gate_command(
 ) -> NoReturn:
     """Hold one robot's controller and store, and serve its clients until SIGTERM.
 
-    Everything that reaches the robot goes through this process. `authguard status` looks at it,
-    `authguard stop` stops the robot whatever this process does.
+    Everything that reaches the robot goes through this process. `authguard status` shows it,
+    `authguard stop` stops the robot even when this process hangs.
     """
     read_trust(trust)
     rid = gate_robot(trust, robot)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """`authguard gate-config`: who may be what at a gate, written, shown, signed.
 
-People name users, a gate knows numbers: names are looked up here, on the machine that the gate
-runs on, and shown before anybody signs. How-to: docs/howto/gate-config.md
+People name users, a gate knows numbers: names are looked up here, on the machine that the gate runs
+on, and shown before a person signs. How-to: docs/howto/gate-config.md
 """
 
 from __future__ import annotations
@@ -117,7 +117,8 @@ class GateConfigForm(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         quorum: how many of them have to.
         witness_silence: as the others.
         segment_records: records in the store from which on the oldest go into a segment.
-        readers: who may read which sealed fields of the log; what nobody may lies open.
+        readers: who may read which sealed fields of the log; a field without readers is stored
+            unsealed.
         retention: how long sealed fields are kept.
     """
 
@@ -316,7 +317,7 @@ def card(config: GateConfig, *, demo: bool = False) -> list[str]:
 
     Args:
         config: what is to be signed.
-        demo: one user is everybody on purpose, so that is doubtful and not unsafe.
+        demo: one user has every role on purpose, so that is doubtful and not unsafe.
     """
     advice = map(in_demonstration, _advice(config)) if demo else _advice(config)
     lines = [f"gate of `{config.robot}`, mode `{config.mode}`"]

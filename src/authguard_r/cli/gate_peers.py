@@ -32,7 +32,7 @@ def user_number(who: str | int, *, where: str) -> int:
 
 
 def everybody() -> dict[str | int, tuple[ClientRole, ...]]:
-    """Return every role for whoever asks."""
+    """Return every role for each user."""
     return {os.geteuid(): tuple(role for role in ClientRole if role is not ClientRole.GATE)}
 
 

@@ -41,7 +41,7 @@ GateOption = Annotated[
 
 
 class ReadingRole(StrEnum):
-    """What may read at a gate; in any other role a command would take somebody's place."""
+    """Roles that may read at a gate; in another role a command would take a client's place."""
 
     OPERATOR = "operator"
     AUDITOR = "auditor"
@@ -184,7 +184,7 @@ def connect_as(path: Path, roles: Iterable[ClientRole]) -> GateClient:
     Only `ROLE_DENIED` goes on to the next role.
 
     Raises:
-        AuthGuardError: nobody answers, or none of the roles is this user's.
+        AuthGuardError: no gate answers, or this user has none of the roles.
     """
     tried: list[str] = []
     for role in roles:
@@ -227,8 +227,8 @@ def connected(
 def running_gate(store: Path, trust: Path, rid: RobotId) -> Iterator[Remote | None]:
     """Yield the gate that holds a store, or None when none is there.
 
-    It has to prove that it is this robot's: the file beside the store is anybody's who may write
-    there. An order that the gate refuses is refused; it is not tried on the store.
+    It has to prove that it is this robot's: any writer of the folder can replace the file beside
+    the store. An order that the gate refuses is refused; it is not tried on the store.
     """
     beside = beside_store(store)
     client = None if beside is None else _connect(Path(beside.socket), trust, rid)
@@ -241,7 +241,7 @@ def running_gate(store: Path, trust: Path, rid: RobotId) -> Iterator[Remote | No
 
 
 def _connect(path: Path, trust: Path, rid: RobotId) -> GateClient | None:
-    """Return the client, or None when nobody listens there."""
+    """Return the client, or None when no process listens there."""
     try:
         return GateClient.connect(
             path, role=ClientRole.OPERATOR, client=CLIENT, verifier=read_trust(trust), robot=rid
@@ -259,7 +259,7 @@ def told_of(beside: GateAddress | None, store: Path, *, tried: bool = False) -> 
     Args:
         beside: what lies beside the store.
         store: the store.
-        tried: nobody answered at that gate's socket.
+        tried: no gate answered at that socket.
     """
     try:
         yield

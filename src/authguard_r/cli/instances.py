@@ -60,7 +60,7 @@ def sign_command(
     out: Annotated[Path | None, typer.Option("--out", help="Where to write the token.")] = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Fill every hole with a value of its set, and sign; nobody is asked."""
+    """Fill every hole with a value of its set, and sign; no question is asked."""
     opened, signer = read_template(template), open_signer(key, cert, passphrase_file)
     _require_bound(opened, signer, trust_folder_of(trust, cert))
     at = wall_now(now)
@@ -89,7 +89,7 @@ def sign_command(
 
 
 def _require_bound(template: Template, signer: FileSigner, folder: Path | None) -> None:
-    """Refuse a key that every gate would refuse; without a trust folder nobody can tell.
+    """Refuse a key that every gate would refuse; without a trust folder this is unknown.
 
     Raises:
         AuthenticityError: the certificate does not hold, or is no scheduler's.

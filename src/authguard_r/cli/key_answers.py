@@ -43,7 +43,7 @@ from authguard_r.keys.loading import load
 from authguard_r.keys.trust import read_certificates, read_file, read_trust
 from authguard_r.wire.output import emit
 
-#: Days until the next update of a list, unless somebody says otherwise.
+#: Default number of days until the next update of a list.
 LIST_DAYS = 30
 DaysOption = Annotated[int, typer.Option("--days", min=1, max=3_650, help="How long it is valid.")]
 YesFlag = Annotated[bool, typer.Option("--yes", help="Do not ask: for scripts.")]

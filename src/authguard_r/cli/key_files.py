@@ -54,7 +54,7 @@ def unprotect_command(
     out: KeyOut = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Write a sealed key file as plain PEM; whoever reads that has the key."""
+    """Write a sealed key file as plain PEM; any reader of that file has the key."""
     data = read_file(keyfile)
     if not is_sealed(data):
         raise _refused("the key is not sealed", keyfile)

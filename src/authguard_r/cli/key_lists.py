@@ -137,7 +137,7 @@ def install_command(
 ) -> int:
     """Bring newer lists to a gate that runs, and to a trust folder; they are signed, so may you.
 
-    Each list is brought to each place, whatever becomes of the others; one that a place has already
+    Each list is brought to each place, also when another one fails; a list that a place has already
     is no fault. What a place refuses is said at the end.
     """
     faults: list[_Fault] = []

@@ -226,14 +226,14 @@ def _ask(
         )
     keys = tuple(generate(kind) for kind in kinds)
     data = make_request(wanted, keys, before=before)
-    open_request(data)  # what nobody could grant is said here, not on the other machine
+    open_request(data)  # what no authority could grant is refused here, not on the other machine
     out.mkdir(parents=True, exist_ok=True, mode=0o700)
     write_keys(path, *keys)
     return _send(request, path, data, as_json=as_json)
 
 
 def _send(request: Path, path: Path, data: bytes, *, as_json: bool) -> int:
-    """Write a request, once it is known that somebody could grant it, and show it."""
+    """Write a request, once it is known that an authority could grant it, and show it."""
     opened = open_request(data)
     request.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
     write_whole(request, data)

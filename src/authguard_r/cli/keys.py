@@ -23,7 +23,8 @@ _CHOICES: dict[str, tuple[Algorithm, ...]] = {
     "hybrid": (Algorithm.ED25519, Algorithm.ML_DSA_65),
 }
 
-#: How long a set-up is valid. A root cannot be renewed, and everybody gets the next one anew.
+#: How long a set-up is valid. A root cannot be renewed, and every machine has to install the next
+#: one.
 DEMO_DAYS, ROOT_DAYS = 365, 3_650
 
 app = typer.Typer(help="Keys, certificates and trust roots.", no_args_is_help=True)

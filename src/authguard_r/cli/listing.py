@@ -56,7 +56,7 @@ class Listing:
         sys.stdout.flush()
 
     def tick(self, count: int) -> None:
-        """Show people at a terminal how far it is; nobody else is told."""
+        """Show progress to people at a terminal only."""
         if count % _EVERY == 0 and sys.stderr.isatty():
             sys.stderr.write(f"\r{count} records")
             sys.stderr.flush()

@@ -36,7 +36,7 @@ class AnchorOptions(Struct, frozen=True, kw_only=True):
         kept: files with checkpoints that were kept elsewhere.
         keys: the log's.
         witnesses: theirs.
-        quorum: how many witnesses it takes; 0: nobody asked for any.
+        quorum: how many witnesses it takes; 0 when none were asked for.
         trust: a trust folder.
     """
 
@@ -73,7 +73,7 @@ def known_of(asked: AnchorOptions, embedded: tuple[bytes, ...]) -> KnownLog:
 
     Args:
         asked: what the user named.
-        embedded: notes that lie with the log, from whoever wrote it.
+        embedded: notes that lie with the log; the log's writer chose them.
 
     Raises:
         EnvironmentFault: a checkpoint was named, and no key.
@@ -125,7 +125,7 @@ def _embedded(
 
 
 def _claims(notes: tuple[bytes, ...]) -> Iterator[Anchor]:
-    """Yield what each note in the log's file says, signed by whomever: the log has to fit it.
+    """Yield what each note in the log's file says, unverified: the log must match it.
 
     For those who name no key: who cuts a log off may leave its newest checkpoint in the file.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`authguard audit export`: the log as a file that anybody can verify, or as a table.
+"""`authguard audit export`: the log as a file that anyone can verify, or as a table.
 
 Spec page: docs/spec/audit-record.md#export
 """
@@ -66,7 +66,7 @@ def export_command(
     """Write the log as JSON Lines, its newest checkpoint last, or as CSV.
 
     JSON Lines hold every byte that is chained and signed: one file and one public key are all that
-    a stranger needs. CSV is for looking at; nobody can verify it. Nothing is verified here.
+    a stranger needs. CSV is for reading; it cannot be verified. Nothing is verified here.
     """
     if out is None and as_json:
         raise typer.BadParameter("expected --out beside --json", param_hint="--out")
@@ -89,7 +89,7 @@ def _write(log: ReadableLog, form: Format, out: Path | None, opening: LogOpening
         raise EnvironmentFault(
             f"`{out}` is there already", reason=Reason.STORE_UNAVAILABLE, where="--out"
         )
-    # a log is not for everybody on the machine
+    # a log is not for every user of the machine
     handle = os.open(out, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
     with os.fdopen(handle, "wb") as file:
         count = _put(lines, file)
@@ -127,7 +127,7 @@ def _line(cells: Any) -> bytes:
 
 
 def cell(value: Any) -> str:
-    """Return a cell that is text to every spreadsheet: whoever wrote a log wrote no formulas."""
+    """Return a cell that every spreadsheet reads as text: a log cannot contain formulas."""
     if value is None:
         return ""
     text = value if isinstance(value, str) else encode_fast(value).decode()

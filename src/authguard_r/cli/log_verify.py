@@ -29,7 +29,7 @@ from authguard_r.core.quantities import to_timestamp
 from authguard_r.keys.signer import gate_name
 from authguard_r.wire.output import emit
 
-#: Most processes that somebody can ask for.
+#: Most processes that a user can ask for.
 _MOST_ASKED = 64
 #: What a log is held to, for people.
 _HELD_TO: dict[By, str] = {
@@ -109,7 +109,7 @@ def verify_command(
     held = EnvelopeCheck(opening_of(reader, passphrase_file))
     with reading(store) as log:
         known = known_of(asked, log.notes)
-        # beside a gate that drives a robot, nobody takes its processors
+        # beside a gate that drives a robot, it leaves the processors to the gate
         most = 1 if log.gate is not None or held.opens else jobs or usable_jobs()
         whose = _Whose()
         rows = whose.rows(held.rows(log.rows) if held.opens else log.rows)

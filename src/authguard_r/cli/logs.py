@@ -28,10 +28,10 @@ class ReadableLog(Struct, frozen=True):
     """A log that can be read once.
 
     Args:
-        rows: its rows in order; nobody needs to trust them.
+        rows: its rows in order; untrusted.
         gate: who tells them, None: they are the file's.
         status: that gate's, as it said it.
-        notes: checkpoints that lie with the rows, the newest first; nobody has looked at them.
+        notes: checkpoints that lie with the rows, the newest first; not checked.
     """
 
     rows: Iterator[LogRow]
@@ -67,7 +67,7 @@ def open_log(store: Path) -> Iterator[ReadableLog]:
 
 
 def _reader(path: Path) -> GateClient | None:
-    """Return a client that may read, or None when nobody listens there."""
+    """Return a client that may read, or None when no process listens there."""
     try:
         return connect_as(path, (ClientRole.AUDITOR, ClientRole.OPERATOR))
     except EnvironmentFault as error:

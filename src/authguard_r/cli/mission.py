@@ -223,7 +223,7 @@ def diff_command(
 
 
 def _not_next(old: Mission, new: Mission) -> list[str]:
-    """Say that no gate takes the one for the other's next version, whatever they have in common."""
+    """Say that no gate takes the one as the other's next version."""
     was, now = f"`{old.mid}` version {old.version}", f"`{new.mid}` version {new.version}"
     return [f"not the next version of {was}: {now} does not supersede its digest"]
 

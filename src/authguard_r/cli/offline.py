@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Acts on a store's file: nobody holds it, and its counter is named where it has one."""
+"""Works on a store's file: no process holds it, and its counter is named where it has one."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ NewOption = Annotated[
 
 
 class OfflineStore(Struct, frozen=True, kw_only=True):
-    """A store that nobody holds, and what an act on it needs.
+    """A store that no process holds, and what a change of it needs.
 
     Args:
         store: its file.
@@ -54,7 +54,7 @@ class OfflineStore(Struct, frozen=True, kw_only=True):
 
 @contextmanager
 def offline(place: OfflineStore) -> Iterator[Gate]:
-    """Yield the gate of a store that nobody holds, for one act.
+    """Yield the gate of a store that no process holds, for one change.
 
     Raises:
         EnvironmentFault: there is no such store; or as `counter_of`.

@@ -190,7 +190,7 @@ def _stand_lines(stands: Any) -> list[str]:
 
 
 def _emergency_lines(emergency: Any) -> list[str]:
-    """Return which emergency policy counts, and what ended nobody knows how, for people."""
+    """Return which emergency policy counts, and which outcomes are unknown, for people."""
     if not isinstance(emergency, dict):
         return []
     named = f"{emergency.get('policy')} version {emergency.get('version')}"

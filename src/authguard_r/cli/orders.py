@@ -65,7 +65,7 @@ TemplateOption = Annotated[
 
 
 class KnownOutcome(StrEnum):
-    """How a release can be said to have ended; that it is unknown, nobody needs to sign."""
+    """How a release can be said to have ended; an unknown end needs no signature."""
 
     SUCCEEDED = "succeeded"
     FAILED = "failed"
@@ -180,7 +180,7 @@ def resolve_command(
     counter: CounterOption = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Say, signed, how a release ended that nobody could observe."""
+    """Sign how a release ended that was not observed."""
     verified = opened_mission(token, trust, template)
     signer = signer_of(verified.mission.issuer, trust, key, cert, passphrase_file)
     signed = _command(
@@ -213,7 +213,7 @@ def choose_command(
     verified = opened_mission(token, trust, template)
     signer = signer_of(verified.mission.issuer, trust, key, cert, passphrase_file)
     shown = row_lines(verified.mission, grant, row, load_site(site, trust))
-    asks = not yes and sys.stdin.isatty()  # where nobody is, the command is the order
+    asks = not yes and sys.stdin.isatty()  # without a terminal, the command is the order
     if asks:
         if not shown:
             raise typer.BadParameter("the mission has no such row", param_hint="--row")
@@ -354,7 +354,7 @@ def signed_order(
         key: who gives the order; None takes the folder's issuer.
         cert: the key's certificates.
         verb: the order.
-        passphrase_file: what opens the key, when somebody has to.
+        passphrase_file: what opens the key, when a passphrase is needed.
     """
     verified = opened_mission(token, trust, template)
     signer = signer_of(verified.mission.issuer, trust, key, cert, passphrase_file)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`authguard audit reader`: the key of somebody who reads sealed fields, made or shown.
+"""`authguard audit reader`: make or show the key of a person who reads sealed fields.
 
 It signs nothing and grants nothing: the site authority's signed configuration says what is sealed
 for it. How-to: docs/howto/audit.md
@@ -42,7 +42,7 @@ def reader_command(
 ) -> int:
     """Make the key of a reader of sealed fields and say what the configuration has of it.
 
-    The private key stays with whoever reads; only the public one goes to whoever writes the gate
+    The private key stays with the reader; only the public one goes to the author of the gate
     configuration. With a passphrase the file is sealed. With --show only the public key is printed.
     """
     if show:

@@ -35,7 +35,7 @@ class RetentionForm(
 
     Args:
         data: the class; written as `class`.
-        least: as `30 d`: nobody destroys them before, counted from the mission's expiry.
+        least: as `30 d`: they are not destroyed before, counted from the mission's expiry.
         most: as `90 d`: the gate destroys them then; left out or `0 d`: it never does.
     """
 

@@ -48,7 +48,7 @@ class _Anchor(msgspec.Struct):
 
 
 class _Status(msgspec.Struct):
-    """What of a gate's status is signed, or shown to whoever signs."""
+    """What of a gate's status is signed, or shown to the signer."""
 
     robot: str
     log: _Log
@@ -67,7 +67,7 @@ def recover_command(
 ) -> int:
     """Let a gate go on with a store that was put back: signed, after it was looked at.
 
-    Shows what the counter had seen and what is there. What the lost part used up, nobody knows: the
+    Shows what the counter had seen and what is there. What the lost part used up is unknown: the
     mission stays suspended until `resume`, and every other one has to be signed anew.
     """
     signer = _signer(trust, key, cert, passphrase_file)

@@ -242,16 +242,16 @@ def replayed(
     What is verified is what is stored; what is decided again is what a reader's key opens of it.
 
     Args:
-        rows: the log as it is stored, by nobody whom anybody trusts.
+        rows: the log as it is stored; untrusted.
         replay: what counts.
         out: where differences go.
-        opening: what opens its rows; None: whoever has the log alone.
+        opening: what opens its rows; None for a reader without a key.
     """
     open_row = (opening or LogOpening()).opened
 
     def followed() -> Iterator[LogRow]:
         for row in rows:
-            yield row  # whoever verifies asks for the next one only when this one held
+            yield row  # the verifier asks for the next one only when this one was valid
             out.tick(row.seq)
             try:
                 told = open_row(row)

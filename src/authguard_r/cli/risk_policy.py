@@ -145,7 +145,7 @@ def _read(file: Path, site: Site) -> OrganizationPolicy:
 
     Raises:
         MalformedError: a word that the site does not know, thresholds out of order.
-        ClarificationError: a number that nobody said.
+        ClarificationError: a number is missing.
     """
     where = str(file)
     form = convert(read_yaml(read_text(file), where=where), RiskPolicyForm, where=where)

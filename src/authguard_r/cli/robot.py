@@ -53,7 +53,7 @@ def robot_command(
     ] = 1,
     as_json: JsonFlag = False,
 ) -> int:
-    """Be the symbolic robot until SIGTERM: obey a gate that proves its key, and nobody else."""
+    """Be the symbolic robot until SIGTERM: obey only a gate that proves its key."""
     from authguard_r.sim.process import run_robot
 
     model = load_site(site, trust)

@@ -265,7 +265,7 @@ def _world(site: Site, rid: str, at: str | None, holding: str | None) -> WorldSt
 
 
 def _after_refusal(simulation: Simulation, report: Report, *, ask: bool) -> str:
-    """Do what the mission says is done after a refusal; hold when nobody can be asked."""
+    """Do what the mission prescribes after a refusal; hold when no person can be asked."""
     if report.judged is None:
         return OnRefusal.HOLD
     wanted = report.judged.verified.mission.on_refusal

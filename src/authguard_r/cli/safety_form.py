@@ -114,7 +114,7 @@ def read_form(form: SafetyForm, site: Site, *, where: str) -> SafetyConfig:
 
     Raises:
         MalformedError: a word that the site does not know, a bound that cannot be, a rule that
-            nobody could follow, a user that this machine does not know.
+            cannot be followed, a user that this machine does not know.
         ClarificationError: a quantity without its unit.
     """
     own = own_envelope(site, form.robot, where=f"{where}:robot")

@@ -55,7 +55,7 @@ def segments_command(
 
 
 def _mark(store: Path) -> int:
-    """Return how many records the store has moved; 0 while a gate holds it and nobody can look.
+    """Return how many records the store has moved; 0 while a gate holds it and it cannot be read.
 
     Raises:
         StoreError: it cannot be read.

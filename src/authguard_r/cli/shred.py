@@ -84,7 +84,7 @@ def shred_command(
 def _offline(
     place: OfflineStore, mission: str, classes: tuple[DataClass, ...], signer: FileSigner
 ) -> dict[str, Any]:
-    """Carry the order out on a store that nobody holds, to its end."""
+    """Carry the order out to its end, on a store that no process holds."""
     with offline(place) as gate:
         first = gate.ledger.peek(lambda turn: turn.rows(0, 1))[0][3]
         robot = gate_robot(place.trust, place.robot)

@@ -75,7 +75,7 @@ class SignerView(Struct, frozen=True, kw_only=True):
         return [*self.card, *finding_lines(self.findings)]
 
     def unaccepted(self, accepted: tuple[LintCode, ...]) -> list[LintCode]:
-        """Return the lint errors that nobody accepted."""
+        """Return the lint errors that the signer did not accept."""
         return sorted(set(errors(self.findings)).difference(accepted))
 
 
@@ -174,12 +174,12 @@ def trust_folder_of(trust: Path | None, cert: Path) -> Path | None:
 def require_issuer(mission: Mission, signer: FileSigner, folder: Path | None) -> None:
     """Refuse a key that every gate would refuse; a signature by the wrong person is no mission.
 
-    Without a trust folder nobody knows whose key it is, but a certificate that does not even claim
-    to be the issuer's is refused all the same.
+    Without a trust folder the owner of the key is unknown, but a certificate that does not even
+    claim to be the issuer's is refused all the same.
 
     Raises:
         AuthenticityError: the certificate does not hold under the trust root, or claims nothing.
-        RefusedError: it is of a role that issues no missions, or of somebody else.
+        RefusedError: its role issues no missions, or it belongs to another person.
     """
     if folder is None:
         warn("whose key it is was not checked; name the trust folder with --trust")
@@ -212,7 +212,7 @@ def sign_shown(
         card: the value for the person who signs it.
         target: where the token goes.
         payload: what a program is told.
-        yes: a script signs: nobody is asked, and what was signed is shown afterwards.
+        yes: a script signs: no question is asked, and what was signed is shown afterwards.
         as_json: print the payload; the question goes to standard error.
 
     Raises:

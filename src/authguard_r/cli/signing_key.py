@@ -29,7 +29,7 @@ PassphraseFile = Annotated[
 
 
 def open_signer(key: Path, cert: Path, passphrase_file: Path | None = None) -> FileSigner:
-    """Return the signer of a `--key`, whatever it names.
+    """Return the signer of a `--key`: a file or a hardware key.
 
     Args:
         key: a file, or a `pkcs11:` URI.
@@ -51,8 +51,8 @@ def require_role(signer: FileSigner, roles: frozenset[str], trust: Path | None) 
     Args:
         signer: the key.
         roles: that sign such a thing.
-        trust: the trust folder; None: nobody knows whose key it is, and it is held to what its
-            certificate claims.
+        trust: the trust folder; None: the owner of the key is unknown, and only its certificate's
+            claim is checked.
 
     Raises:
         AuthenticityError: the certificate does not hold under the trust root, or claims nothing.
@@ -73,12 +73,12 @@ def require_role(signer: FileSigner, roles: frozenset[str], trust: Path | None) 
 
 
 def open_keys(key: Path, passphrase_file: Path | None = None) -> tuple[SigningKey, ...]:
-    """Return the keys of a `--key`, whatever it names; as `open_signer`, without certificates."""
+    """Return the keys of a `--key`; as `open_signer`, without certificates."""
     return open_named(key, passphrase_of(passphrase_file))
 
 
 def passphrase_of(path: Path | None) -> Passphrase | None:
-    """Return who says the passphrase: the file, else a person at the terminal, else nobody."""
+    """Return what gives the passphrase: the file, else a person at the terminal, else nothing."""
     if path is not None:
         return lambda _: read_passphrase(path)
     return ask_passphrase if sys.stdin.isatty() else None

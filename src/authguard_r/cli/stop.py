@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`authguard stop`: brake and hold, until somebody confirms it."""
+"""`authguard stop`: brake and hold, until a controller confirms it."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def stop_command(
     itself when a controller was told to stop and does not confirm it within 10 s, or when none is
     connected for 5 s. An operator's stop suspends the active mission until a signed `resume`.
     Without --role it is the first of operator, auditor, planner and estimator that this user may
-    be. Exit 5 says that nobody confirmed that the robot stands.
+    be. Exit 5 says that no controller confirmed that the robot stands.
     """
     if store is not None:
         if gate is not None or trust is None or site is None:
@@ -81,7 +81,7 @@ def _folder(gate: Path | None) -> Path:
 
 
 def _tell(answers: Answers) -> None:
-    """Say who has not answered, if anybody can read it: nothing keeps a stop from going on."""
+    """Say who has not answered, if the text can be printed: nothing prevents a stop."""
     with suppress(OSError, ValueError, AttributeError):
         sys.stderr.write(_waits(answers))
         sys.stderr.flush()
@@ -110,7 +110,7 @@ def _follows(role: str) -> str:
 
 
 def _waits(answers: Answers) -> str:
-    """Return what is told once a second while nobody confirms the stop."""
+    """Return the line that is shown once a second until the stop is confirmed."""
     told = "; ".join(_missing(answers))
     return f"not confirmed yet, trying again (Ctrl-C gives up); {told}\n"
 
@@ -136,7 +136,7 @@ def _silent(answers: Answers) -> dict[str, Any]:
 
 
 def _given_up(answers: Answers, *, as_json: bool) -> int:
-    """Say that a person gave up before anybody confirmed the stop, and who did not answer."""
+    """Say that a person gave up before the stop was confirmed, and who did not answer."""
     told = [one.answer for one in answers.values() if one.answer is not None]
     controller = any(answer.controller for answer in told)
     said = {"stopped": False, "controller": controller, "after_ms": None, "role": None}

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sealed fields on the way to whoever reads a log: opened as far as a reader's key goes.
+"""Sealed fields for a reader of a log: opened as far as the reader's key allows.
 
-What stays closed stays beside its record, so that it can be said; what nobody can open any more is
-taken away like what was destroyed. Spec page: docs/spec/sealed-fields.md#reading
+A closed value stays beside its record, so that it can be named; a value that no key opens any more
+is removed like a destroyed one. Spec page: docs/spec/sealed-fields.md#reading
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class LogOpening:
     """What can be told of a log, row by row from its beginning on.
 
     Args:
-        key: the reader's; None: whoever has the log alone.
+        key: the reader's; None for a reader without a key.
     """
 
     def __init__(self, key: ReaderKey | None = None) -> None:
@@ -93,7 +93,7 @@ class LogOpening:
                     self.has.add(data)
 
     def _without_lost(self, row: LogRow) -> LogRow:
-        """Return the row without boxes whose keys nobody has any more."""
+        """Return the row without envelopes whose keys are destroyed."""
         where = f"record {row.seq}"
         left: dict[str, Sealed] = {}
         for name, one in read_sealed(row.sealed, where=where).items():

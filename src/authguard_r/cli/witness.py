@@ -71,7 +71,7 @@ def add_command(
 ) -> int:
     """Register a log by its verifier keys (`authguard audit key`), which all have to sign.
 
-    From whoever is trusted to know them, not over the network. No witness may serve meanwhile.
+    From a trusted source, not over the network. No witness may serve meanwhile.
     """
     from authguard_r.witness.service import register
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Open approval requests as a client reads them, and the answers that people sign.
 
-Nobody is shown one thing and signs another (L20): what is shown comes out of the bytes whose
-digests the answer binds, and bytes with another digest are refused before anything is shown.
-Spec page: docs/spec/gate-protocol.md#approvals
+A person signs what was shown (L20): the display is made from the bytes whose digests the answer
+binds, and bytes with another digest are refused before anything is shown. Spec page:
+docs/spec/gate-protocol.md#approvals
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def shown(question: Question) -> ShownRequest:
     """Return what the request's digests are of, once they are of these bytes.
 
     Raises:
-        RefusedError: the values were destroyed: nobody can know what he would sign.
+        RefusedError: the values were destroyed: a person could not know what they sign.
         AuthenticityError: the bytes are not those of the digests.
         MalformedError: the bytes spell nothing that can be shown.
     """
@@ -107,7 +107,7 @@ def signed_answer(
 
     Args:
         question: the request as it was shown.
-        verdict: approve or deny; whoever denies says why.
+        verdict: approve or deny; a denial gives a reason.
         signer: the approver's key.
         why: for the log; no planner hears of it.
 

@@ -200,7 +200,7 @@ class AsyncGateClient:
 
         Args:
             question: the request, from `approval` or `approvals`.
-            verdict: approve or deny; whoever denies says why.
+            verdict: approve or deny; a denial gives a reason.
             signer: the approver's key.
             why: for the log; no planner hears of it.
 
@@ -268,7 +268,7 @@ class AsyncGateClient:
             Whether a controller was there and said that the robot stands, and after how long.
 
         Raises:
-            AuthGuardError: nobody has answered in time.
+            AuthGuardError: no answer came in time.
         """
 
         async def ask(stop: Stop) -> Stopped:

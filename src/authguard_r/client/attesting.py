@@ -27,7 +27,7 @@ from authguard_r.wire.faults import from_fault
 from authguard_r.wire.frames import Frame, frame, read_body
 from authguard_r.wire.messages import Attest, ClientRole, Fault, Fence, Kind
 
-#: A snapshot that nobody answers for so long ends the connection, in milliseconds.
+#: A snapshot without an answer for this long ends the connection, in milliseconds.
 ANSWER_MS = 2_000
 TICK_S = 0.005
 GATE = "gate.sock"
@@ -42,7 +42,8 @@ class Measurement(Struct, frozen=True):
     Args:
         snapshot: the values.
         measured_ms: when, on the machine's monotonic clock.
-        path_ms: it may have been measured so much earlier, where nobody says when it was.
+        path_ms: how much earlier it may have been measured, where the time of measurement is not
+            given.
     """
 
     snapshot: Snapshot

@@ -92,7 +92,7 @@ class GateClient:
             timeout_ms: longest time to wait for this and for every answer.
 
         Raises:
-            EnvironmentFault: nobody listens there, or nobody answers in time.
+            EnvironmentFault: no process listens there, or no answer came in time.
             AuthenticityError: not the gate that was meant, or the role is not this user's.
             RefusedError: the gate is in shadow mode.
             MalformedError: what answers is no gate.
@@ -251,7 +251,7 @@ class GateClient:
 
         Args:
             question: the request, from `approval` or `approvals`.
-            verdict: approve or deny; whoever denies says why.
+            verdict: approve or deny; a denial gives a reason.
             signer: the approver's key.
             why: for the log; no planner hears of it.
 
@@ -319,7 +319,7 @@ class GateClient:
             Whether a controller was there and said that the robot stands, and after how long.
 
         Raises:
-            AuthGuardError: nobody has answered in time.
+            AuthGuardError: no answer came in time.
         """
         own = OwnLine(self._line, self._session)
         return stop_now(self._path, own, why=why, within_ms=self._timeout_ms)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A stop of a client that waits: sent over its own connection at once, whatever else is missing.
+"""A stop of a blocking client: sent at once over its own connection, also without a trust root.
 
 Spec page: docs/spec/gate-protocol.md#a-stop-at-the-gate
 """
@@ -135,7 +135,7 @@ def stop_now(path: Path, own: OwnLine, *, why: str, within_ms: int) -> dict[str,
         Whether a controller was there and said that the robot stands, and after how long.
 
     Raises:
-        AuthGuardError: nobody has answered in time.
+        AuthGuardError: no answer came in time.
     """
     stop = stop_of(path, own.session, own.ask, why)
     with suppress(AuthGuardError):  # the connection is of no use: another one is opened
@@ -154,7 +154,7 @@ def _confirmed(stop: StopEverywhere, within_ms: int) -> StopReply | None:
         The best answer; None where no file or thread is left for an event loop.
 
     Raises:
-        AuthGuardError: nobody has answered in time.
+        AuthGuardError: no answer came in time.
     """
     try:
         loop = asyncio.new_event_loop()
@@ -170,7 +170,7 @@ def _confirmed(stop: StopEverywhere, within_ms: int) -> StopReply | None:
                 return None
             try:
                 return future.result()
-            except BaseException:  # whoever interrupts this thread gives up
+            except BaseException:  # an interrupt of this thread gives up the wait
                 if not future.done():
                     loop.call_soon_threadsafe(_cancel_all, loop)
                 raise

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a controller does with each message, and with silence, whatever it is that moves.
+"""What a controller does with each message, and with silence; the same for every kind of robot.
 
 It begins an action only when a gate that proved its key says so, and ends it by itself when that
-gate falls silent. No input, no output and no clock: whoever holds the desk brings frames and time.
-Spec page: docs/spec/gate-protocol.md#controllers
+gate falls silent. No input, no output and no clock: the caller brings frames and time. Spec page:
+docs/spec/gate-protocol.md#controllers
 """
 
 from __future__ import annotations
@@ -70,8 +70,8 @@ class ExecutionNews(Struct, frozen=True):
 class Body(Protocol):
     """What moves, as its controller knows it.
 
-    `obeys` is False of a body that carries out no stop, and `late_ms` how much later it answers:
-    faults that somebody injected.
+    `obeys` is False of a body that carries out no stop, and `late_ms` is how much later it answers:
+    injected faults.
     """
 
     rid: RobotId
@@ -90,11 +90,11 @@ class Body(Protocol):
 
     @property
     def stands(self) -> bool:
-        """It does not move, as far as anybody can know; without an action it was told to."""
+        """It does not move, as far as is known; without an action it was told to."""
         ...
 
     def has_room(self, action: Action) -> bool:
-        """Return True if it can begin this beside whatever runs, of which there is something."""
+        """Return True if it can begin this action beside those that run."""
         ...
 
     def begin(self, action: Action, ticket: Digest) -> GoalHandle:
@@ -122,7 +122,7 @@ class Body(Protocol):
         ...
 
     def brake(self) -> None:
-        """Brake and hold; whatever runs is aborted once it stands, unless it ended before."""
+        """Brake and hold; running actions are aborted once it stands, unless they ended before."""
         ...
 
     def pass_time(self, ms: int) -> None:
@@ -176,8 +176,8 @@ class _Late(Struct, frozen=True):
 class ControllerDesk:
     """The controller of one robot; every method returns what is to be sent.
 
-    A stop is the whole robot's: whatever runs beside what it was meant for ends with it. `stops`
-    counts the stops that were carried out since this start, whoever asked for them.
+    A stop is for the whole robot: every running action ends with it. `stops` counts the stops that
+    were carried out since this start, of all callers.
 
     Args:
         body: what moves.

@@ -72,7 +72,7 @@ class Driver:
                 bounds=BOUNDS,
                 listener=_Ear(self, channel),
                 log=log,
-                allow_shadow=channel is MessageSource.STOP,  # a stop counts, whoever drives it
+                allow_shadow=channel is MessageSource.STOP,  # a stop counts for every driver
                 speaks=None
                 if channel is MessageSource.STOP
                 else speaks,  # the stop process has no words

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The first two messages: who the client is, and whether it speaks to the gate that it means.
 
-A socket's path proves nothing: whoever may write to the folder can put another one there. With a
+A socket's path proves nothing: any writer of the folder can put another socket there. With a
 verifier the client demands a signature over its own fresh nonce by the key of this robot's gate.
 Spec page: docs/spec/gate-protocol.md#proof
 """
@@ -76,7 +76,7 @@ def hello(greeting: Greeting, nonce: str) -> Hello:
 
     Args:
         greeting: who asks.
-        nonce: fresh random bytes, base64url; sent only when there is somebody to verify the proof.
+        nonce: fresh random bytes, base64url; sent only when a verifier checks the proof.
     """
     return Hello(
         protocol=PROTOCOL,

@@ -133,7 +133,7 @@ class ProvenConnection(asyncio.Protocol):
         transport.write(self._conversation.hello())
 
     def data_received(self, data: bytes) -> None:
-        """Read what came; whatever is wrong with it ends the connection."""
+        """Read what came; any fault in it ends the connection."""
         try:
             was_proven = self.is_proven
             frames = self._conversation.receive(data)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """One client of one gate, for as long as a process lives: connected anew where it was lost.
 
-Nothing is tried in the background: whoever asks is told why the gate cannot be reached.
-Spec page: docs/spec/gate-protocol.md#connections
+Nothing is tried in the background: the caller gets the reason why the gate cannot be reached. Spec
+page: docs/spec/gate-protocol.md#connections
 """
 
 from __future__ import annotations

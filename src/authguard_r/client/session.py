@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """One connection to a gate, without a socket: bytes go in, answers come out.
 
-Both clients hold one. Whatever a peer sends, it ends in an answer to a request that was made, or
-in one error that every later call meets again: nothing is guessed and nothing is kept waiting.
-Spec page: docs/spec/gate-protocol.md
+Both clients hold one. Each input of a peer ends in an answer to a request that was made, or in one
+error that every later call raises again: nothing is guessed and no call waits for ever. Spec page:
+docs/spec/gate-protocol.md
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from authguard_r.wire.messages import (
     Welcome,
 )
 
-#: Most memory that answers nobody has taken yet may hold, in bytes; a frame costs some by itself.
+#: Most memory for answers that were not taken yet, in bytes; a frame costs some by itself.
 MAX_HELD = 1 << 24
 _FRAME_COST = 1_024
 #: Longest greeting or error, in bytes.

@@ -20,7 +20,7 @@ from authguard_r.core.quantities import Now
 TIMEOUT_MS = 10_000
 #: Bytes that are read at once.
 CHUNK = 1 << 16
-#: What to do where nobody could be reached.
+#: What to do when no process could be reached.
 _MENDS: dict[type[Exception], str] = {
     FileNotFoundError: "start one, or name the run folder of one that serves",
     ConnectionRefusedError: "the one that served there has ended: start it again",

@@ -37,7 +37,7 @@ from authguard_r.wire.sockets import reach
 
 #: A part that cannot be reached is tried again after this long, in seconds.
 AGAIN_S = 0.1
-#: Whoever waits is told this often what does not answer, in seconds.
+#: How often a waiting caller hears which process does not answer, in seconds.
 TELL_S = 1.0
 #: A part that did not confirm the stop is asked again after this long, in seconds.
 REPEAT_S = 0.5
@@ -47,9 +47,9 @@ SILENT_S = 1.5
 #: no robot, in seconds.
 GONE_S = 5.0
 #: A controller that was told to stop says within so long that the robot stands, in seconds. The
-#: stop process tells it again until it does, whoever has left.
+#: stop process sends it again until it answers, also when the caller has left.
 TOLD_S = 10.0
-#: Sockets at which nobody listens are of processes that died: that long their start may take.
+#: A socket without a listener belongs to a process that died: how long its restart may take.
 DEAD_S = 30.0
 
 
@@ -72,8 +72,8 @@ class StopReply(Struct, kw_only=True):
         answer: what became of the stop, as it said last; None: it has not answered.
         role: what the client was there.
         why: why it has not answered; empty: it is connected, and silent.
-        is_gone: nobody serves at its socket.
-        is_dead: somebody did: the socket is there.
+        is_gone: no process listens at its socket.
+        is_dead: a process did before: the socket is there.
         is_shut: this user cannot reach it, or the path can be no socket's.
         is_over: it is not tried again.
         asked_s: when it was asked what it has not answered yet, on the monotonic clock.
@@ -164,11 +164,11 @@ class StopEverywhere:
         cancels it; `answers` says how far it came.
 
         Args:
-            tell: called once a second while nobody confirms the stop.
+            tell: called once a second until the stop is confirmed.
             within_ms: gives up after so long; None: never.
 
         Raises:
-            EnvironmentFault: nobody serves in the folder, or nobody has answered in time.
+            EnvironmentFault: no process serves in the folder, or no answer came in time.
             AuthenticityError: no role is this user's.
         """
         self._began_s = since_s = told_s = monotonic()
@@ -265,7 +265,7 @@ class StopEverywhere:
             client=Identifier(name),
             verifier=self._verifier,
             robot=self._robot,
-            allow_shadow=True,  # a stop counts, whoever drives the robot
+            allow_shadow=True,  # a stop counts for every driver of the robot
         )
         session = begin(greeting)
         try:

@@ -48,7 +48,7 @@ def decide(
 
     Args:
         verified: the mission; the only source of authority.
-        action: the proposal; anybody may have written it.
+        action: the proposal; untrusted.
         state: attested state; a request never carries one.
         facts: the signed site and the gate's own identity.
         now: read once by the caller.

@@ -26,7 +26,7 @@ MAX_SHOWN = 1_000
 def shown(text: str) -> str:
     """Return text that a log can hold and a terminal can print: cut, and escaped where it must be.
 
-    Whoever wrote the text chose its length and its control characters too.
+    The author of the text chose its length and its control characters too.
     """
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text[:MAX_SHOWN])
 

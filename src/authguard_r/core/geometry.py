@@ -38,7 +38,7 @@ def polygon(map_id: str, floor: int, points: tuple[Point, ...]) -> Polygon:
 def may_lie_in(area: Polygon, point: Point, margin_mm: int) -> bool:
     """True when some position within `margin_mm` of `point` lies in the polygon or on its edge.
 
-    Wrong reading: true does not mean the robot is inside; it means nobody can say it is not.
+    Wrong reading: true does not mean the robot is inside; it means that it may be.
     """
     (x, y), low, high, far = point, area.low, area.high, margin_mm
     if not (low[0] - far <= x <= high[0] + far and low[1] - far <= y <= high[1] + far):

@@ -2,8 +2,8 @@
 """Permission is a lease, not a fact: what a release permits, where, and for how long.
 
 A robot moves for seconds after a decision. `still` asks the same conditions again on every state
-update and at least every 100 ms; whatever it finds cancels the action and stops the robot.
-Spec page: docs/spec/lease.md
+update and at least every 100 ms; any finding cancels the action and stops the robot. Spec page:
+docs/spec/lease.md
 """
 
 from __future__ import annotations

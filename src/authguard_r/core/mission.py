@@ -208,7 +208,7 @@ class ParameterRisk(_Signed, frozen=True, kw_only=True):
 
 
 class StateRisk(_Signed, frozen=True, kw_only=True):
-    """Adds `weight` while the condition holds, or while nobody can attest that it does not."""
+    """Adds `weight` while the condition holds, or while it cannot be attested that it does not."""
 
     guard: Guard
     weight: ids.Count

@@ -37,7 +37,7 @@ class Clock(Protocol):
 
 
 class Turn(Protocol):
-    """What a job sees inside the writer's turn: one consistent store, nobody else in it."""
+    """What a job sees inside the writer's turn: one consistent store without other writers."""
 
     def get(self, kind: str, key: str) -> bytes | None:
         """Return the value held under the key, as written before in this or an earlier turn."""
@@ -138,7 +138,7 @@ class Controller(Protocol):
         ...
 
     def stop(self) -> None:
-        """Brake and hold, at once and whatever runs."""
+        """Brake and hold at once; running actions end."""
 
 
 class StateSource(Protocol):

@@ -57,7 +57,7 @@ class Principal(Struct, frozen=True, kw_only=True):
 
     @property
     def label(self) -> Label:
-        """The label of what it signs: an operator's, or that of somebody above operators."""
+        """The label of what it signs: an operator's, or that of a role above operators."""
         return Label.OPERATOR if self.role == Label.OPERATOR else Label.SUPERVISOR
 
 

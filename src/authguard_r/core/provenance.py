@@ -70,9 +70,9 @@ class SourceField(StrEnum):
     STATE = "state"
 
 
-#: Labels of a value that somebody signed.
+#: Labels of a value that a person signed.
 SIGNED: frozenset[Label] = frozenset({Label.OPERATOR, Label.SUPERVISOR})
-#: Labels of a value that nobody signed or attested.
+#: Labels of a value that was neither signed nor attested.
 UNTRUSTED: frozenset[Label] = frozenset(TRUST[TRUST.index(Label.MODEL) :])
 _ATTESTED = frozenset({Label.TRUSTED_SENSOR})
 _ANY = frozenset(Label)

@@ -2,8 +2,9 @@
 """How risky an action is in a state, and how many principals must approve it.
 
 The score reads the canonical action and the signed site, so a planner cannot lower it by naming
-things differently. Whatever is not listed weighs `otherwise`; whatever cannot be attested counts
-as risky. Source: `eq:threshold`, section "Risk-Adaptive Approval". Spec page: docs/spec/approval.md
+things differently. A type that is not listed weighs `otherwise`; a condition that cannot be
+attested counts as risky. Source: `eq:threshold`, section "Risk-Adaptive Approval". Spec page:
+docs/spec/approval.md
 """
 
 from __future__ import annotations

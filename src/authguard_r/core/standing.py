@@ -76,7 +76,8 @@ class ApprovalRequest(
         situation: digest of the guards' truth and the risk tier when it was asked.
         required: principals needed in all, the issuer included.
         expires_ms: trusted time after which an answer is too late.
-        denied: somebody who may answer denied: closed for answers, whatever becomes of the denier.
+        denied: a person who may answer denied: closed for answers, even if that person is revoked
+            later.
     """
 
     counter: int

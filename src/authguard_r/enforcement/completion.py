@@ -71,7 +71,7 @@ def complete(
     """Fill what attested state settles, label every privileged field, and say whose it is.
 
     Args:
-        step: one bound step of a plan; anybody may have written it.
+        step: one bound step of a plan; untrusted.
         meta: set by the enforcer.
         verified: the mission.
         standing: the registry's entry.
@@ -163,7 +163,7 @@ def counted(judged: Judged, facts: SiteFacts) -> list[dict[str, Any]]:
     )
     need = judged.decision.need
     if need is None or (need.scope, need.situation) != (request.scope, request.situation):
-        return []  # another question is open: nobody was counted
+        return []  # another question is open: no answer was counted
     return [
         {**approver_json(item.approver), "verdict": str(item.approval.verdict)}
         for item in judged.answers

@@ -58,9 +58,9 @@ class Confirmation(
         version: its version.
         request: its task, in the operator's words.
         by: who signed: the issuer, as the signing key's certificate must say.
-        at_ms: the signing machine's clock, milliseconds since 1970; nobody attests it.
-        how: whether anybody was asked.
-        shown: whether card and lint were put before whoever signed.
+        at_ms: the signing machine's clock, milliseconds since 1970; not attested.
+        how: whether a person was asked.
+        shown: whether the signer saw card and lint.
         card: digest of the card that was shown; absent when none was.
         accepted: codes of lint errors that the signer accepted by name, sorted.
     """
@@ -91,7 +91,7 @@ def confirm(
     Args:
         mission: the very structure that is signed.
         card: digest of the card that was shown; None when nothing was.
-        how: whether anybody was asked.
+        how: whether a person was asked.
         accepted: lint errors that were accepted by name.
         now: the signing machine's clock.
     """

@@ -2,8 +2,8 @@
 """The one road to the controller: normalize, decide, safety, commit, release, watch, outcome.
 
 Nothing else calls `decide` for effect or holds a controller. Nothing is dispatched before its
-decision is on disk, except `stop`. Whatever goes wrong on the way is a refusal with a reason, a
-place and one record. Source: `alg:authguard`, `eq:execute`. Spec page: docs/spec/enforcement.md
+decision is on disk, except `stop`. Any fault on the way is a refusal with a reason, a place and one
+record. Source: `alg:authguard`, `eq:execute`. Spec page: docs/spec/enforcement.md
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Enforcer:
         intake: what may enter: state, missions, approvals, each verified.
         facts: the signed site and the gate's own identity.
         safety: the second gate.
-        watch: holds the actuators, nobody else has them, and looks at open leases.
+        watch: alone holds the actuators, and checks open leases.
         clock: for the pauses between two looks at a lease.
         first: what must succeed before the first proposal is decided: recovery, when a gate starts.
     """
@@ -139,7 +139,7 @@ class Enforcer:
         `Running.poll`.
 
         Args:
-            step: one bound step of a plan; anybody may have written it.
+            step: one bound step of a plan; untrusted.
             planner: the client that proposed, named by the caller's channel.
             evidence: digest of the planner's bytes.
             context: what the planner could have seen.
@@ -150,7 +150,7 @@ class Enforcer:
                 `repairs`.
 
         Returns:
-            The final report, or the action while it runs: somebody has to `poll` it then.
+            The final report, or the action while it runs: the caller has to `poll` it then.
         """
         base, influences = context.base(), context.influences(step.action)
 
@@ -227,7 +227,7 @@ class Enforcer:
             is_planner: see `stop`.
             suspends: see `stop`.
             details: what else lies open in the record.
-            why: the words of whoever stopped; sealed.
+            why: the words of the person who stopped; sealed.
         """
         return self.stopping.record(
             by=by, is_planner=is_planner, suspends=suspends, details=details or {}, why=why

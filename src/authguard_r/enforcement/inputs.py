@@ -62,7 +62,7 @@ class Identities(Delegations, Protocol):
         """Return whose name a chain's leaf has, and its public key; whether it holds, others say.
 
         Raises:
-            AuthenticityError: it names nobody.
+            AuthenticityError: its certificate cannot be verified.
         """
         ...
 
@@ -204,7 +204,7 @@ class InputVerifier:
     def held(self, act: Transaction, digest: Digest) -> HeldMission:
         """Return a mission version as it was verified once, to end, settle or show it by.
 
-        Its certificates may have ended since; that keeps nobody from ending what they began.
+        Its certificates may have ended since; that prevents no person from ending what they began.
         Nothing that widens goes by it.
 
         Raises:
@@ -215,7 +215,7 @@ class InputVerifier:
     def lost(self, act: Transaction, digest: Digest) -> Reason | None:
         """Return why no valid signature stands behind a mission now; None: one does.
 
-        Asked anew, whatever was believed before.
+        Asked anew; an earlier answer does not count.
 
         Raises:
             StoreError: its token is gone, or is of another mission.
@@ -342,7 +342,7 @@ class InputVerifier:
         """Require that an approver has signed no other answer under another name.
 
         People are counted by names; an authority that gave one key two names gave one person two
-        voices. A denial is taken from anybody.
+        voices. A denial is accepted from every person.
         """
         mine = set(self._bearers(token.decode("ascii")))
         keys = {key for _, key in mine}

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A released action while the robot moves: looked at, stopped when it must be, settled at its end.
 
-Nobody waits in here. Whoever drives the enforcer asks again: the library after each pause, the
-gate's process on each new state, each answer of the controller and at least every 100 ms.
-Source: section "Stateful Action Verification". Spec page: docs/spec/lease.md#while-the-robot-moves
+Nothing waits in here. The caller asks again: the library after each pause, the gate's process on
+each new state, each answer of the controller and at least every 100 ms. Source: section "Stateful
+Action Verification". Spec page: docs/spec/lease.md#while-the-robot-moves
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Guarded(Protocol):
         """Require that a stop would be carried out.
 
         Raises:
-            EnvironmentFault: nobody would.
+            EnvironmentFault: no loop would watch the lease.
         """
         ...
 
@@ -178,7 +178,7 @@ class LeaseMonitor:
     def _current(self, act: Transaction, standing: Standing, judged: Judged) -> Mission | None:
         """Return what says whether all is done: the version in force, not the one released under.
 
-        None when nobody can say: its certificates do not hold any more, and it stays as it is.
+        None when it is unknown: its certificates are not valid any more, and it stays as it is.
         """
         if standing.digest == judged.verified.digest:
             return judged.verified.mission
@@ -191,7 +191,7 @@ class ExecutionResult(Struct, frozen=True, kw_only=True):
     Args:
         outcome: the controller's word, or `unknown` without one.
         findings: why it was stopped, or why it did not go as it should.
-        stood_ms: from the order to stop to that word; None when nobody had to stop it.
+        stood_ms: from the order to stop to that message; None when no stop was needed.
     """
 
     outcome: Outcome

@@ -36,7 +36,7 @@ from authguard_r.provenance.context import Influence
 NOT_EVALUATED = "not evaluated"
 #: What the log calls a plan or a step that was refused before a decision.
 PROPOSAL = "proposal"
-#: What is said of weights that nobody signed: each field weighs 1.
+#: What is said of weights that are not signed: each field weighs 1.
 EQUAL = "equal"
 #: What the second gate says for want of newer state.
 _UNKNOWN = frozenset({Hazard.STATE_UNKNOWN, Hazard.NOT_EXECUTABLE})
@@ -318,7 +318,7 @@ def stop_entry(
         by: who asked, named by the channel.
         is_planner: counted against the planner's budget of stops.
         details: what else lies open.
-        why: whoever stopped may have written anything: sealed.
+        why: the person who stopped may have written anything: sealed.
     """
     return lambda at: Entry(
         kind="stop",

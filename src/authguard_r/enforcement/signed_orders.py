@@ -38,7 +38,7 @@ EVENTS: dict[Verb, Event] = {
     Verb.REVOKE: Event.REVOKE,
     Verb.COMPLETE: Event.COMPLETE,
 }
-#: What ends or settles: ordered of a mission, too, that nobody's signature stands behind any more.
+#: What ends or settles: also ordered of a mission that has no valid signature any more.
 ENDING = frozenset({Verb.SUSPEND, Verb.REVOKE, Verb.COMPLETE, Verb.RESOLVE})
 #: What a safety officer may order too.
 NARROWING = frozenset({Verb.SUSPEND, Verb.REVOKE, Verb.WITHDRAW})
@@ -72,7 +72,7 @@ class Command(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=Tru
             for `accept_store` and `shred`, the store's L_0.
         nonce: fresh random bytes; a command is carried out once.
         expires_ms: trusted time after which it is worth nothing.
-        issued_ms: when it was signed, by its signer's clock; 0 where nobody said.
+        issued_ms: when it was signed, by its signer's clock; 0 when it is not given.
         ticket: for `resolve`, the open release.
         outcome: for `resolve`, what became of it.
         accepts: for `accept_store`, what is accepted.

@@ -66,7 +66,7 @@ class RecordedStops:
             suspends: an operator's stop: it stands, and the mission goes on only after a signed
                 `resume`.
             details: what else lies open in the record.
-            why: the words of whoever stopped; sealed.
+            why: the words of the person who stopped; sealed.
         """
         entry = stop_entry(by, is_planner=is_planner, details=details, why=why)
         counted: _BudgetPlace | None = _BudgetPlace.WITHIN

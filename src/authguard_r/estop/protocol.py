@@ -2,8 +2,8 @@
 """What the stop process does with every byte and every moment, without a socket.
 
 The process around it (`server`) moves bytes and asks the clock. A stop goes to the controllers
-before anything else happens; records, proofs and files come when nobody waits.
-Spec page: docs/spec/gate-protocol.md#stop-lane
+before anything else happens; records, proofs and files come when no stop waits. Spec page:
+docs/spec/gate-protocol.md#stop-lane
 """
 
 from __future__ import annotations
@@ -181,7 +181,7 @@ class EStopDispatcher:
         """Forget a connection that ended; a second call does nothing.
 
         A stop that came whole is carried out and recorded all the same: its client may have left
-        because nobody answered.
+        because no answer came.
         """
         if peer.is_gone:
             return
@@ -383,7 +383,7 @@ class EStopDispatcher:
 def lane_bound(role: ClientRole) -> Callable[[int], int]:
     """Return the longest body of each kind that a role may send to the stop process.
 
-    Anybody but the controller and the gate may stop, and nothing else.
+    Every connection but the controller's and the gate's may stop, and do nothing else.
     """
     kinds = {ClientRole.CONTROLLER: (Kind.STOOD,), ClientRole.GATE: (Kind.HEARD, Kind.SYNC)}
     known = {int(kind): BOUND[kind] for kind in kinds.get(role, (Kind.STOP,))}

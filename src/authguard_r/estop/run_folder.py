@@ -23,7 +23,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.wire.stop_limits import LIMITS
 
 SOCKET, PID, SPOOL = "stop.sock", "stop-lane.pid", "stops.spool"
-#: Stops that suspend the mission have a file of their own: nobody else's can fill it.
+#: Stops that suspend the mission have a file of their own: other stops cannot fill it.
 FIRST_SPOOL = "operator-stops.spool"
 #: Is there while a stop process serves that a gate started.
 OF_GATE = "stop-lane.of-gate"
@@ -48,8 +48,8 @@ class RunFolder(Struct, frozen=True, kw_only=True):
 def take_place(run: Path, *, of_gate: bool = False) -> RunFolder:
     """Return the run folder's stop socket, listening, and held against a second lane.
 
-    A socket that nobody serves any more is replaced. The folder decides who reaches the socket:
-    its group may connect (mode 0660), and who is in it is asked of the kernel.
+    A socket without a process behind it is replaced. The folder decides who reaches the socket: its
+    group may connect (mode 0660), and who is in it is asked of the kernel.
 
     Args:
         run: the folder.
@@ -139,7 +139,7 @@ def is_served(path: Path) -> bool:
         try:
             asking.connect(str(path))
         except BlockingIOError:
-            return True  # its queue is full: somebody is there
+            return True  # its queue is full: a process is there
         except OSError:
             return False
     return True
@@ -174,7 +174,7 @@ def _listen(path: Path) -> socket.socket:
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
         listener.settimeout(0)
-        mask = os.umask(0o177)  # nobody connects before the group is set
+        mask = os.umask(0o177)  # no client connects before the group is set
         try:
             listener.bind(str(path))
         finally:

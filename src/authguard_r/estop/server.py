@@ -65,7 +65,7 @@ class EStopServer:
         self._fresh_ms: int | None = None
 
     def serve(self) -> None:
-        """Serve until woken; whatever is not in the file yet is written before it returns."""
+        """Serve until woken; stops that are not in the file yet are written before it returns."""
         try:
             while self._turn():
                 pass
@@ -114,7 +114,7 @@ class EStopServer:
             try:
                 line, _ = self._listener.accept()
             except OSError:
-                return  # nobody is left, or nothing is left to take somebody with
+                return  # no client is left, or the address has no other socket
             line.settimeout(0)
             try:
                 uid = peer_of(line).uid
@@ -210,7 +210,7 @@ class EStopServer:
     def _put_down(self, now: Now) -> None:
         """Write to files and log after the answers; suspending stops at once.
 
-        The others seldom while anybody waits, and a gate that listens has its time first: what it
+        The others seldom while a caller waits, and a gate that listens has its time first: what it
         has recorded needs no file.
         """
         desk, others = self._desk, self.journal.others

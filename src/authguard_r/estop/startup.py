@@ -157,7 +157,7 @@ def _read(files: EStopFiles) -> tuple[FileSigner, GateConfig]:
     trust = read_trust(files.trust)
     signer = read_signer(files.key, files.cert)
     signed = read_file(files.config)
-    # a machine whose clock nobody has set yet has to be stopped too
+    # a robot whose machine has no clock yet has to be stopped too
     known_ms = (chain_ms(signer.chain), token_ms(signed))
     now = Now(boot_ms(time_ns() // 1_000_000, trust, *known_ms), 0)
     named, _ = trust.gate_identity(signer.chain, now)

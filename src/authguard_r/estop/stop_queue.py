@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stops that no gate has recorded yet, in memory.
 
-An operator's stop suspends the mission, so that nobody else's may delay or displace its record:
-it has a queue of its own, which is sent first. Files: `spool`.
-Spec page: docs/spec/gate-protocol.md#stop-lane
+An operator's stop suspends the mission, so that another stop may not delay or displace its record:
+it has a queue of its own, which is sent first. Files: `spool`. Spec page:
+docs/spec/gate-protocol.md#stop-lane
 """
 
 from __future__ import annotations

@@ -68,7 +68,7 @@ class PendingStop(Struct, Generic[A], frozen=True, kw_only=True):
     """One stop that is under way.
 
     Args:
-        asked: whatever the caller wants back with the answer.
+        asked: what the caller wants back with the answer.
         begun_ms: when it came.
         needs: number of the `HALT` whose answer confirms it; it was sent after the stop came.
         brakes: every controller that was connected.

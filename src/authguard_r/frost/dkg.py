@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A group's key that nobody ever holds: every member deals, and everybody's shares are summed.
+"""A group's key that never exists in one place: every member deals, and the shares are summed.
 
 Two rounds. In the first each commits to a polynomial and proves that it knows the secret in it, or
 the last to speak could choose the group's key. In the second each gives each a share, encrypted,
@@ -54,7 +54,7 @@ from authguard_r.frost.messages import (
 def plan(
     name: PrincipalId, members: tuple[PrincipalId, ...], *, threshold: int
 ) -> KeyGenerationPlan:
-    """Return a plan for everybody to begin with.
+    """Return a plan for every member to begin with.
 
     Raises:
         ValueError: no group can be made of this.
@@ -65,7 +65,7 @@ def plan(
 
 
 def begin(agreed: KeyGenerationPlan, identifier: int) -> tuple[Secret, Offer]:
-    """Return a member's secret of this key generation, and its offer to everybody.
+    """Return a member's secret of this key generation, and its offer to every member.
 
     Raises:
         ValueError: the plan has no such member.
@@ -223,7 +223,7 @@ def _box(secret: Secret, offer: Offer) -> Box:
     """Return the box from a member to another.
 
     Raises:
-        AuthenticityError: the other's key is of low order: with it everybody could open the box.
+        AuthenticityError: the other's key is of low order: with it anyone could open the box.
     """
     try:
         return Box(PrivateKey(box_key(secret.box)), PublicKey(box_key(offer.box)))

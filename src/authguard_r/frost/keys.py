@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A group's key: dealt by one trusted person, and checked by each who gets a share.
 
-Who deals knows the whole key; where nobody may, `dkg` makes one without a dealer.
+A dealer knows the whole key; where that is not acceptable, `dkg` makes one without a dealer.
 Source: RFC 9591 appendix C. Spec page: docs/spec/frost.md#keys
 """
 
@@ -30,7 +30,7 @@ class Dealt(Struct, frozen=True, kw_only=True):
     """What a dealer makes.
 
     Args:
-        group: for everybody.
+        group: for every member.
         shares: one for each member, for that member alone.
     """
 
@@ -45,7 +45,7 @@ def deal(
     threshold: int,
     coefficients: tuple[Scalar, ...] | None = None,
 ) -> Dealt:
-    """Return a new group with everybody's share.
+    """Return a new group with each member's share.
 
     Args:
         name: the principal that the group signs as.
@@ -104,7 +104,7 @@ def member(group: Group, identifier: int) -> PrincipalId:
     """Return who has the identifier.
 
     Raises:
-        AuthenticityError: nobody.
+        AuthenticityError: there is none.
     """
     if identifier > len(group.members):
         raise AuthenticityError(

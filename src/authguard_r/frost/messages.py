@@ -97,7 +97,7 @@ class KeyGenerationPlan(
     tag_field="kind",
     tag="frost/dkg-plan/1",
 ):
-    """What a key generation without a dealer is for; everybody has the same one.
+    """What a key generation without a dealer is for; every member has the same one.
 
     Args:
         id: the principal that the group will sign as.
@@ -220,7 +220,7 @@ class Ballot(
 ):
     """What a group is asked to sign: the approval, and what it is bound to.
 
-    The approval holds digests of effect and situation; nobody can read a digest. Both travel beside
+    The approval holds digests of effect and situation; a digest cannot be read. Both travel beside
     it and must be those that the digests name, so what is shown is what is signed.
 
     Args:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Nonces that are used once, whatever crashes: two uses of one would give the share away.
+"""Nonces that are used once, also after a crash: two uses of one would give the share away.
 
 Each pair lies in a file of its own. Using it first makes a second file beside it, which can be made
-once only and is on the disk before the nonces are read; so whatever happens after, nobody signs
-with them again. Spec page: docs/spec/frost.md#nonces
+once only and is on the disk before the nonces are read. So after a crash they are not used again.
+Spec page: docs/spec/frost.md#nonces
 """
 
 from __future__ import annotations

@@ -98,7 +98,7 @@ def begin(group: Group, commitments: tuple[NonceCommitment, ...], message: bytes
 
     Raises:
         MalformedError: two of one member, or more than members.
-        AuthenticityError: one of another group or of nobody.
+        AuthenticityError: one of another group or of no member.
         RefusedError: fewer than sign together.
     """
     ordered = tuple(sorted(commitments, key=lambda item: item.identifier))

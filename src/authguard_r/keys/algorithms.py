@@ -65,8 +65,8 @@ def require_sound(key: object, *, where: str) -> PublicKey:
     """Return `key` as a public key of one of these algorithms that passes its checks.
 
     An Ed25519 point must be canonical and not of low order, and an ML-DSA key must not be zero
-    behind its seed: the library looks at neither, and under such a key everybody can sign. The
-    library looks at the length.
+    behind its seed: the library checks neither, and under such a key anyone can sign. The library
+    looks at the length.
 
     Raises:
         AuthenticityError: another algorithm, or an unsound key (`KEY_INVALID`).

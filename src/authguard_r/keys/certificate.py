@@ -112,7 +112,7 @@ class Leaf(Struct, frozen=True, kw_only=True):
 
 
 class LeafClaims(Struct, frozen=True, kw_only=True):
-    """What a leaf certificate claims; nobody has vouched for it, and it authorizes nothing.
+    """What a leaf certificate claims; it is not verified, and it authorizes nothing.
 
     Args:
         principal: whose it says it is.
@@ -251,7 +251,7 @@ def walk(
 
 
 def read_claims(leaf_der: bytes) -> LeafClaims:
-    """Return what a leaf claims, without walking to any root: anybody can make such a leaf.
+    """Return what a leaf claims, without walking to any root: anyone can make such a leaf.
 
     Good for refusing early what every gate would refuse, never for accepting. Dates, authority,
     signature and revocation are not looked at.

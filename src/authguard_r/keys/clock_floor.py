@@ -34,7 +34,7 @@ def chain_ms(chain: Iterable[bytes]) -> int:
 
 
 def token_ms(data: bytes) -> int:
-    """Return when the last certificate in a token begins; whoever signed it, it is not verified."""
+    """Return when the last certificate in a token begins; its signature is not verified."""
     try:
         chains = [endorsement.chain for endorsement in read_token(data).endorsements]
         return max((chain_ms(unb64(der) for der in chain) for chain in chains), default=0)

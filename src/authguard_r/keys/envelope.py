@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A person's key file, sealed with a passphrase: Argon2id and AES-256-GCM.
 
-Encrypted PEM derives its key in 2,048 rounds of PBKDF2, which whoever copied the file guesses
-through quickly (L18); here each guess costs 64 MiB and a tenth of a second. What a file asks for
-is held to bounds before anything is derived. Spec page: docs/spec/token.md#key-files
+Encrypted PEM derives its key in 2,048 rounds of PBKDF2, so that a thief of the file can guess
+quickly (L18); here each guess costs 64 MiB and a tenth of a second. What a file asks for is held to
+bounds before anything is derived. Spec page: docs/spec/token.md#key-files
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _MEND = "restore the file from a copy, or ask for a new key"
 
 
 class EnvelopeHeader(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How a file was sealed; whoever wrote the file chose it, within these bounds.
+    """How a file was sealed; the writer of the file chose it, within these bounds.
 
     Args:
         cipher: what the keys are sealed with.

@@ -19,7 +19,7 @@ from authguard_r.core.reasons import Reason
 from authguard_r.keys.algorithms import PrivateKey
 from authguard_r.keys.envelope import is_sealed
 
-#: Of what its owner alone reads: keys, and whatever says what a robot is to do.
+#: Files that only their owner may read: keys, and files that say what a robot is to do.
 PRIVATE = 0o600
 #: How much of a file is read to see whether it is a private key.
 _HEAD_BYTES = 65_536
@@ -33,7 +33,8 @@ def write_whole(path: Path, data: bytes, *, mode: int | None = None, over: bool 
     Args:
         path: the file; a link is replaced, not what it leads to.
         data: all of it.
-        mode: its mode, whatever the umask; None: as the umask says, and never writable by others.
+        mode: its mode, independent of the umask; None: as the umask says, and never writable by
+            others.
         over: a private key may lie there: the caller replaces it by itself in another form.
 
     Raises:
@@ -69,7 +70,7 @@ def holds_key(path: Path) -> bool:
 
 
 def holds_plain_key(path: Path) -> bool:
-    """Return whether a private key lies there that can be read by whoever reads the file."""
+    """Return whether a private key lies there that any reader of the file can use."""
     try:
         return _MARK in _head(path)
     except OSError:
@@ -87,7 +88,7 @@ def read_private(path: Path, *, where: str) -> bytes:
         EnvironmentFault: it cannot be read, or others may read or own it.
     """
     try:
-        with path.open("rb") as file:  # what is looked at is what is read, whatever takes its name
+        with path.open("rb") as file:  # what is checked is what is read, under any name
             held = os.fstat(file.fileno())
             mode = stat.S_IMODE(held.st_mode)
             if mode & 0o077 or held.st_uid not in {0, os.geteuid()}:
@@ -113,7 +114,7 @@ def _head(path: Path) -> bytes:
 
 
 def _place(path: Path, data: bytes, mode: int | None) -> None:
-    # beside it, for a rename goes across no file system; a name that nobody else has
+    # beside it, for a rename goes across no file system; a name that no other file has
     new = path.parent / f".{path.name}.{secrets.token_hex(8)}"
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
     try:
@@ -127,7 +128,9 @@ def _place(path: Path, data: bytes, mode: int | None) -> None:
     except OSError as error:
         raise _in_the_way(f"cannot write `{path}`: {error.strerror}", path) from error
     finally:
-        with suppress(OSError):  # it has the place by now, or a half of it is nobody's
+        with suppress(
+            OSError
+        ):  # it has its place by now, or it is an incomplete file without an owner
             new.unlink()
 
 

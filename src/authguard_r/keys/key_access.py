@@ -28,7 +28,7 @@ def open_named(key: Path, passphrase: Passphrase | None) -> tuple[SigningKey, ..
 
     Args:
         key: a file, or a `pkcs11:` URI.
-        passphrase: says the passphrase or PIN; None: there is nobody to ask.
+        passphrase: gives the passphrase or PIN; None when no person can be asked.
 
     Raises:
         EnvironmentFault: a file or token is not there.

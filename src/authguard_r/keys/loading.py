@@ -56,7 +56,7 @@ def load_pem(text: bytes, *, where: str) -> tuple[x509.Certificate, ...]:
 def key_of(certificate: x509.Certificate, *, where: str) -> PublicKey:
     """Return a certificate's public key after a check of its algorithm and value.
 
-    The caller checks the chain: without it, the key can be anybody's.
+    The caller checks the chain: without it, the owner of the key is unknown.
 
     Raises:
         AuthenticityError: `KEY_INVALID`: the algorithm is not supported, or the key is unsound.

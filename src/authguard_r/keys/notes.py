@@ -119,7 +119,7 @@ def gate_keys(
 
 
 def leaf_key(chain: tuple[bytes, ...]) -> PublicKey:
-    """Return the public key of a chain's leaf certificate; who it is, nobody has verified.
+    """Return the public key of a chain's leaf certificate; its owner is not verified.
 
     Raises:
         AuthenticityError: an algorithm that is none of ours, or an unsound key.
@@ -159,7 +159,7 @@ def verify_note(note: Note, keys: Iterable[NoteKey], *, where: str) -> tuple[Att
 
     Args:
         note: from anyone.
-        keys: that somebody trusts.
+        keys: the trusted ones.
         where: for errors.
 
     Raises:

@@ -67,14 +67,14 @@ def is_key_uri(text: str) -> bool:
 def read_key_uri(text: str) -> KeyUri:
     """Return what `pkcs11:token=T;object=O?module-path=M` names.
 
-    Taken are `token`, `serial`, `object`, `id`, and `type=private`; a token and a key have to be
-    named, and the module always: a default would load whatever somebody installed.
+    Taken are `token`, `serial`, `object`, `id`, and `type=private`. A token and a key have to be
+    named, and the module always: a default would load any module that is installed.
 
     Args:
         text: what a person typed.
 
     Raises:
-        MalformedError: anything else, a PIN above all: arguments are for everybody to see.
+        MalformedError: anything else, a PIN above all: every user can read arguments.
     """
     if not is_key_uri(text) or len(text) > MAX_URI:
         raise _malformed(f"expected `pkcs11:` and at most {MAX_URI} characters")
@@ -291,7 +291,7 @@ def _said(error: Exception) -> str:
 
 
 def _malformed(message: str) -> MalformedError:
-    # the text itself is not repeated: somebody may have put a PIN into it
+    # the text itself is not repeated: it may contain a PIN
     return MalformedError(message, where="pkcs11 URI")
 
 

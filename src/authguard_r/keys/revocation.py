@@ -105,7 +105,7 @@ def read_list(data: bytes, *, authority: str, key: PublicKey) -> RevocationList:
 
 
 def claimed_authority(data: bytes) -> str:
-    """Return the name of the authority that a list says it is of; nobody has vouched for it.
+    """Return the name of the authority that a list says it is of; it is not verified.
 
     Raises:
         MalformedError: it is no canonical list.

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Private keys: in plain files, in sealed ones, or in hardware.
 
-Implements the core's `Signer`. A plain PKCS8 file with mode 0600 is for services, which nobody can
-ask for a passphrase; a person's key is sealed (`keys.envelope`) or in hardware (`keys.pkcs11`).
-Spec page: docs/spec/token.md#key-files
+Implements the core's `Signer`. A plain PKCS8 file with mode 0600 is for services, which cannot ask
+for a passphrase; a person's key is sealed (`keys.envelope`) or in hardware (`keys.pkcs11`). Spec
+page: docs/spec/token.md#key-files
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class FileSigner:
         return tuple((chain, key.sign(message)) for key, chain in self._held)
 
     def secret(self, purpose: bytes) -> bytes:
-        """Return 32 bytes that nobody can make without every key; others for another purpose.
+        """Return 32 bytes that cannot be made without every key; others for another purpose.
 
         Raises:
             AuthenticityError: a key lies in hardware and does not come out (`KEY_INVALID`).
@@ -97,7 +97,7 @@ def read_signer(
     Args:
         key_path: plain PEM, or sealed.
         chain_path: the certificates.
-        passphrase: asked once, and only for a sealed file; None: there is nobody to ask.
+        passphrase: asked once, and only for a sealed file; None when no person can be asked.
 
     Raises:
         EnvironmentFault: a file cannot be read.
@@ -162,12 +162,12 @@ def read_keys(data: bytes, path: Path) -> tuple[PrivateKey, ...]:
 
 
 def plain_pem(path: Path, passphrase: Passphrase | None = None) -> bytes:
-    """Return the PEM text of a key file, plain or sealed; nobody has looked at the keys in it.
+    """Return the PEM text of a key file, plain or sealed; the keys in it are not checked.
 
     Raises:
         EnvironmentFault: it cannot be read.
         MalformedError: it is sealed and damaged, or of another format.
-        AuthenticityError: the passphrase is wrong, or there is nobody to ask.
+        AuthenticityError: the passphrase is wrong, or no person can be asked.
     """
     data = read_file(path)
     if not is_sealed(data):

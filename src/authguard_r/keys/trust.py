@@ -105,7 +105,7 @@ class Trust:
         Args:
             lists: authentic lists by the DER of their authority; others stay as they are.
         """
-        # the lists first: whoever still uses what was kept then keeps it for nobody
+        # the lists first: a thread that still uses the old cache then fills the old one only
         self._lists = {**self._lists, **lists}
         self._identified = {}
 
@@ -120,7 +120,9 @@ class Trust:
         Raises:
             AuthenticityError: the chain does not hold at `now`.
         """
-        kept = self._identified  # what was walked under older lists is put where nobody looks
+        kept = (
+            self._identified
+        )  # what was walked under older lists goes into a cache that is not used any more
         known = kept.get(chain)
         if known is not None and known.since_ms <= now.utc_ms <= known.leaf.not_after_ms:
             return known.leaf
@@ -187,7 +189,7 @@ class Trust:
         """Return whose name a chain's leaf has, and its public key; whether it holds, others say.
 
         Raises:
-            AuthenticityError: it names nobody.
+            AuthenticityError: its certificate cannot be verified.
         """
         where = "certificate.leaf"
         key = key_of(load(chain[0], where=where), where=where)

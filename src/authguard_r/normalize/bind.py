@@ -52,7 +52,7 @@ from authguard_r.site.model import ActionModel, Site
 #: Longest route, in regions.
 MAX_ROUTE = 64
 
-#: The channel of what nobody says: a shipped one with the least trusted label.
+#: The channel of an input without one: a shipped one with the least trusted label.
 UNTOLD = str(TRUST[-1])
 
 Reader = Callable[[Any, str], Any]

@@ -91,7 +91,7 @@ class Argument(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=Tr
     each: dict[str, Argument] = {}
 
     def constant(self) -> Constant | Decimal | None:
-        """Return what the tool is given whatever the planner says; None when that is nothing."""
+        """Return what the tool is given independent of the planner; None when that is nothing."""
         return Decimal(self.decimal) if self.decimal else self.value
 
 
@@ -115,10 +115,10 @@ class ToolBinding(
             `effect_of` reads from the constants. Ways to one effect have one type and one tool.
         message: the ROS type whose fields stand under `body` (`nav2_msgs/action/Wait`).
         body: the path under which they stand; empty: at the top.
-        result: the channel by which what it brings to light reaches the planner; empty: nobody
-            says, and it counts as the least trusted of all.
+        result: the channel by which the tool's result reaches the planner; empty: it counts as the
+            least trusted of all.
         succeeds: paths in the tool's structured answer, or `TEXT` for its words, with what stands
-            there when it has done its work; empty: whatever is no error.
+            there when it has done its work; empty: every answer but an error.
         fails: the same, with what stands there when it has not; one of them is enough.
         noted: why the tool is bound as it is; for people.
     """
@@ -184,7 +184,7 @@ def effect_of(tool: ToolBinding) -> str:
     """Return what a way really moves, without outer slashes; empty when nothing says it.
 
     It is what the author declares, else the ROS name that the way holds constant: `/cmd_vel` and
-    `cmd_vel` move the same wheels, whatever the form of the message.
+    `cmd_vel` move the same wheels, for every form of the message.
     """
     constants = {n: a.constant() for n, a in tool.arguments.items()} | tool.when
     named = (tool.effect, *(constants.get(name) for name in _MOVED))
@@ -400,7 +400,7 @@ def _origin_faults(tool: ToolBinding, kind: ActionModel) -> Iterator[tuple[str, 
 
 
 def _settled_faults(tool: ToolBinding, kind: ActionModel, site: Site) -> Iterator[tuple[str, str]]:
-    """Values that nobody proposes must be such as the field or parameter can have."""
+    """Values that the planner does not propose must be such as the field or parameter can have."""
     settled = [(f"fixed.{target}", target, value) for target, value in tool.fixed.items()]
     for name, argument in tool.arguments.items():
         place = f"arguments.{name}"
@@ -444,7 +444,9 @@ def _is_value(value: int | str, target: str, kind: ActionModel, site: Site) -> b
         "destination": site.regions,
         "pose.map": {region.map for region in site.regions.values()},
     }
-    return value in frozenset(known.get(target, ()))  # nobody settles a way or a position
+    return value in frozenset(
+        known.get(target, ())
+    )  # a way or a position is not settled by a value
 
 
 def _is_factor(text: str) -> bool:

@@ -191,7 +191,7 @@ def _is_of(name: str, tool: ToolBinding, surface: Surface) -> bool:
 
 
 def _bound_fields(tool: ToolBinding, surface: Surface) -> dict[tuple[str, ...], bool]:
-    """Return the names of each bound path, and whether whatever is below it is bound with it."""
+    """Return the names of each bound path, and whether all that is below it is bound with it."""
     bound = dict(_paths(tool.arguments)) | {(path,): False for path in tool.when}
     found = {tuple(map(_uncounted, names)): whole for names, whole in bound.items()}
     if not surface.message or not tool.body:

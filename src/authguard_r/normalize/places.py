@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which region a planner's position means: exactly one, or it is refused.
 
-A position on the edge of two regions, or where two overlap, is nobody's to guess; where the author
-says that one region lies within another, the inner one is meant. What is dispatched is the region's
-own `approach`, never the planner's point: all positions in one region are one action.
-Spec page: docs/spec/binding.md#positions
+A position on the edge of two regions, or where two overlap, is refused, not guessed. Where the
+author says that one region lies within another, the inner one is meant. What is dispatched is the
+region's own `approach`, never the planner's point: all positions in one region are one action. Spec
+page: docs/spec/binding.md#positions
 """
 
 from __future__ import annotations

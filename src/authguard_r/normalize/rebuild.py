@@ -34,7 +34,7 @@ from authguard_r.normalize.places import Places
 from authguard_r.normalize.quantity import COORDINATE, unscale
 from authguard_r.site.model import Site
 
-#: The place of every rebuilt call: nobody wrote it.
+#: The place of every rebuilt call, which has no author.
 WHERE = "rebuilt"
 _BYTES = msgspec.json.Encoder(order="sorted", decimal_format="number")
 
@@ -71,7 +71,7 @@ class Rebuilder:
 
         Source: section "Normalized Actions". Guaranteed: equal scopes are equal calls, and binding
         the call gives the same scope again, but for what attested state fills. Wrong reading: that
-        a call can be rebuilt does not mean that anybody allowed it.
+        a call can be rebuilt does not mean that it is allowed.
         """
         for way in self._ways.get((action.type, action.tool), ()):
             if tool in {None, way.name}:

@@ -254,7 +254,7 @@ class StatedText:
         if not 0 <= at < len(self._words):
             return False
         beyond = self._words[at + step] if 0 <= at + step < len(self._words) else ""
-        # `5 N and 30 s`, `2 loads of 30 s`: before a joining word counts whatever has a number
+        # `5 N and 30 s`, `2 loads of 30 s`: before a joining word counts each word with a number
         return _changes(self._words[at], step) or (joined and step < 0 and _is_numeric(beyond))
 
 

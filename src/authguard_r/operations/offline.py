@@ -47,7 +47,7 @@ class _NoRobot:
 def offline_gate(
     folder: Path, site: Site, *, rid: RobotId, store: Path, counter: Counter | None = None
 ) -> Gate:
-    """Return a gate without a robot, for management acts on a store that nobody holds.
+    """Return a gate without a robot, for management of a store that no process holds.
 
     Args:
         folder: written by `authguard keys init`.

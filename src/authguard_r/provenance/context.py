@@ -35,7 +35,7 @@ __all__ = [
     "channel_labels",
 ]
 
-#: Inputs, whatever their channel, that a name may be split over beside each channel's own last one.
+#: Inputs of all channels over which a name may be split, beside each channel's own last one.
 WINDOW = 4
 #: Inputs of one channel kept for one value: the first half and the last half of them.
 KEPT = 8
@@ -107,7 +107,7 @@ class ContextLedger:
 
     Args:
         spellings: external spelling of each place and thing, with its id; or the same made ready
-            (`MentionNames`), for whoever keeps many ledgers of one site.
+            (`MentionNames`), for a caller with many ledgers of one site.
         channels: a site's own channels (`channel_labels`).
 
     Raises:
@@ -130,11 +130,11 @@ class ContextLedger:
         """Note one input; call it before the planner sees the text.
 
         Raises:
-            MalformedError: a channel that nobody gave a label, nothing is noted; or a text of
-                more than `MAX_INPUT` bytes (`INPUT_TOO_LARGE`). That one is not looked through,
-                but its label counts and `influences` names it as `unread` for every value, so
-                that a caller who goes on all the same has lowered the base. A long text can be
-                added in parts instead: names over their borders are found.
+            MalformedError: a channel without a label, nothing is noted; or a text of more than
+                `MAX_INPUT` bytes (`INPUT_TOO_LARGE`). That one is not looked through, but its label
+                counts and `influences` names it as `unread` for every value, so that a caller who
+                goes on all the same has lowered the base. A long text can be added in parts
+                instead: names over their borders are found.
         """
         label = self._labels.get(channel)
         if label is None:

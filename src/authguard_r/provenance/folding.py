@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a reader sees in a text, whatever characters spell it: for evidence, never for authority.
+"""A text with look-alike characters made one: for evidence, never for authority.
 
 A sign may write a name in wide forms, with marks over the letters, in letters of another script, or
-in characters that show nothing at all. A model reads it all the same, so whoever asks afterwards
-what a planner was told must find it. Names that decide anything are compared exactly
-(`normalize.bind`); nothing here is called for those.
+in characters that show nothing at all. A model reads it all the same, so a later search for what a
+planner was told must find it. Names that decide anything are compared exactly (`normalize.bind`);
+nothing here is called for those.
 
 Spec page: docs/spec/provenance.md#mentions
 """

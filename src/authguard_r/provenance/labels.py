@@ -43,7 +43,7 @@ def label_fields(
 def _chosen_by(
     field: str, action: Action, verified: VerifiedMission, standing: Standing | None
 ) -> Label | None:
-    """Return who made the field this value in the grants that have it; None when nobody did.
+    """Return who made the field this value in the grants that have it; None when no source did.
 
     A planner may choose among grants, that is how it does its task; it may not choose within one.
     """

@@ -24,10 +24,10 @@ class Together:
     """Gates that all have to agree (`core.ports.SafetyGate`); none can widen another.
 
     Args:
-        gates: each of them is asked, whatever the others say. One of them at most remembers.
+        gates: each of them is asked, also when another one refuses. One of them at most remembers.
 
     Raises:
-        ValueError: there is none: nobody would have to agree.
+        ValueError: there is none: no gate would have to agree.
     """
 
     def __init__(self, *gates: SafetyGate) -> None:
@@ -42,7 +42,7 @@ class Together:
     def assess(
         self, action: Action, state: AttestedState | None, facts: SiteFacts, now: Now
     ) -> SafetyDecision:
-        """Return the verdict: safe when all say so, else everybody's findings.
+        """Return the verdict: safe when all say so, else the findings of all.
 
         Raises:
             RuntimeError: two of the gates remember; what one gave would be given to the other.
@@ -70,8 +70,7 @@ def gate_of(config: SafetyConfig, *, asked_ms: int = MAX_ASKED_MS) -> SafetyGate
 
     Args:
         config: authentic configuration.
-        asked_ms: the longest that a checker may be waited for: whoever decides looks at nothing
-            else while it waits.
+        asked_ms: the longest wait for a checker: the decision does nothing else while it waits.
 
     Raises:
         MalformedError: a rule of it cannot be followed.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a safety officer signs under a tag of its own, and what stands where nobody did."""
+"""What a safety officer signs under a tag of its own, and the defaults without a signature."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Executable(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 Line = Annotated[str, Meta(pattern=r"\A[ -~]{1,1000}\Z")]
 #: Where a Unix socket can be: its name has to fit the kernel's 108 bytes.
 SocketPath = Annotated[str, Meta(pattern=r"\A/[!-~]{1,106}\Z")]
-#: The longest time in which anybody may be asked, in milliseconds.
+#: The longest time in which a checker may be asked, in milliseconds.
 MAX_ASKED_MS = 1_000
 
 
@@ -157,7 +157,7 @@ def default_config(site: Site, rid: RobotId) -> SafetyConfig:
     return SafetyConfig(
         schema="authguard-r/safety/1",
         id=f"{site.id}-default",
-        version=0,  # nobody signed it
+        version=0,  # it is not signed
         rid=rid,
         profile=profile_digest(profile),
         max_speed_mm_s=profile.max_speed_mm_s,

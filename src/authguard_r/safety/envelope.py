@@ -111,7 +111,7 @@ def rule_keep_out(scene: _Scene) -> Findings:
 
 
 def rule_human_proximity(scene: _Scene) -> Findings:
-    """Near people the robot is slow; when nobody knows how near, it does not move."""
+    """Near people the robot is slow; when their distance is unknown, it does not move."""
     if not scene.kind.moves:
         return ()
     distance = scene.reading(HUMAN_DISTANCE)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """A safety gate in another process: asked over a Unix socket, believed only when all is in order.
 
-One connection for one question: one line there, one line back. Whatever else happens (nobody
-there, somebody else's process, too late, too long, not this protocol, an answer to another
-question or about another action) is unsafe: nobody has said that it is safe.
-Spec page: docs/spec/safety.md#checker
+One connection for one question: one line there, one line back. Every other result (no process
+there, another user's process, too late, too long, not this protocol, an answer to another question
+or about another action) is unsafe: no checker has said that it is safe. Spec page:
+docs/spec/safety.md#checker
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class CheckerAnswer(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 class NoAnswerError(Exception):
-    """Nobody said that it is safe; the text says why, for people."""
+    """No checker said that it is safe; the text says why, for people."""
 
 
 class ExternalGate:

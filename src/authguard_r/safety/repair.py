@@ -34,7 +34,7 @@ def repair_of(
     """Return the action slowed down and without the keep-out regions of its route.
 
     Args:
-        action: what was proposed; anybody may have written it.
+        action: what was proposed; untrusted.
         found: every hazard that the envelope found in it.
         keep_out: the signed regions that no route may pass.
         facts: the signed site.

@@ -18,7 +18,7 @@ def open_config(data: bytes, *, verifier: Verifier, now: Now) -> SafetyConfig:
     """Return the configuration in a token signed by a safety officer.
 
     Raises:
-        MalformedError: no canonical configuration, or a rule in it that nobody can follow.
+        MalformedError: no canonical configuration, or a rule in it that cannot be followed.
         AuthenticityError: certificate, signature or role does not hold.
     """
     config, _, _ = open_token(

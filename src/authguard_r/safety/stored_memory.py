@@ -20,7 +20,7 @@ from authguard_r.core.safety import SafetyDecision
 from authguard_r.core.standing import Outcome, Standing
 
 _KIND = "safety"
-#: Given to a gate when what it remembered is gone; nobody's memory.
+#: Given to a gate when its memory is gone; it belongs to no gate.
 LOST = b"lost"
 
 
@@ -70,7 +70,7 @@ def memory_of(turn: Read, standing: Standing | None) -> bytes:
 
     Returns:
         Empty before the mission's first release; `LOST` when releases were made that the memory
-        does not know of: under a gate that remembered nothing, or somebody touched the store.
+        does not know of: under a gate without a memory, or after a change of the store.
     """
     if standing is None or standing.actions == 0:
         return b""

@@ -50,7 +50,7 @@ class ActiveMission:
         """Return how the active mission stands; None once it has ended."""
         try:
             mission = self.shown()
-        except StoreError:  # a disk that is gone silences nobody's alerts
+        except StoreError:  # a disk that is gone does not suppress alerts
             mission = self._known
         if mission is None or mission["status"] in TERMINAL:
             return None
@@ -120,7 +120,7 @@ def _shown_issued(act: Transaction, intake: InputVerifier, standing: Standing) -
 
 
 def _shown(standing: Standing, mission: Mission, *, void: Reason | None) -> dict[str, Any]:
-    """Return what `status` says of a mission, and why it authorizes nothing whatever its status."""
+    """Return what `status` says of a mission, and why it authorizes nothing in its status."""
     return {
         "mid": standing.mid,
         "version": standing.version,

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Open approval requests, told to those who may answer, and what becomes of them.
 
-What was asked is told from the decision's record, so that the bytes are those that were hashed;
-a value that was destroyed since is told as absent, and nobody can approve it any more.
-Spec page: docs/spec/gate-protocol.md#approvals
+What was asked is told from the decision's record, so that the bytes are those that were hashed; a
+value that was destroyed since is shown as absent, and it cannot be approved any more. Spec page:
+docs/spec/gate-protocol.md#approvals
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from authguard_r.server.wiring import Gate
 from authguard_r.store.transactions import Transaction
 from authguard_r.wire.approval_request import ApprovalAnswer, Question, Questions, Truth
 
-#: Tells everybody who watches.
+#: Sends an event to every client that watches.
 Publish = Callable[[dict[str, Any]], None]
 
 
@@ -53,7 +53,7 @@ class OpenQuestions:
 
     Args:
         gate: ledger, intake and facts.
-        publish: tells everybody who watches.
+        publish: sends an event to every client that watches.
     """
 
     def __init__(self, gate: Gate, publish: Publish) -> None:

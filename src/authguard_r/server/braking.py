@@ -57,7 +57,7 @@ class _PendingBrake(Struct):
         stop: as it was asked for.
         asked: whose requests are answered with it.
         begun_ms: when it came, on the gate's monotonic clock.
-        halt: the `HALT` whose answer confirms it; None: nobody was told.
+        halt: the `HALT` whose answer confirms it; None when no controller was told.
         stood_ms: after how long the robot stood.
         due_ms: when it is written down; None while it is under way.
         more: stops that were folded into its record.
@@ -81,7 +81,7 @@ class Braking:
         remote: the same, where it is connected over a socket; None: a robot in this process, or
             a gate that moves nothing.
         book: writes stops down.
-        stands: True while nothing moves, of a robot in this process; None: nobody can say.
+        stands: True while nothing moves, of a robot in this process; None when it is unknown.
         mono_ms: the gate's monotonic clock.
     """
 
@@ -161,7 +161,7 @@ class Braking:
         told = None if self._remote is None or not self._remote.connected else self._remote.halts
         asked, now_ms = [(client, number)], self._mono_ms()
         self._waiting[who] = _PendingBrake(client, stop, asked, begun_ms=now_ms, halt=told)
-        # not here: whoever brought the bytes may be in the middle of something
+        # not here: the caller that brought the bytes may be in the middle of another step
         loop.call_soon(partial(self._hold, client))
 
     def _hold(self, client: ServedClient) -> None:
@@ -171,7 +171,7 @@ class Braking:
     def _keep(self, who: _Who, waiting: _PendingBrake, now_ms: int) -> None:
         """Write a stop down: now, or later with those that follow.
 
-        The stop process may confirm what nobody confirmed here: its word comes within a second.
+        The stop process may confirm what was not confirmed here: its message comes within a second.
         """
         before = self._written.get(who)
         if before is None and waiting.stood_ms is not None:

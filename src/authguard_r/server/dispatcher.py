@@ -50,7 +50,7 @@ from authguard_r.wire.messages import (
     Sample,
 )
 
-#: Tells everybody who watches.
+#: Sends an event to every client that watches.
 Publish = Callable[[dict[str, Any]], None]
 #: What became of an order.
 _Done = Standing | TemplateStanding | VerifiedApproval | Received | AcceptedStore | Shredding
@@ -76,7 +76,7 @@ class Dispatcher:
         streams: open streams; None where the gate has none.
         emergencies: emergency calls; None where no policy was signed.
         questions: open approval requests.
-        publish: tells everybody who watches.
+        publish: sends an event to every client that watches.
         rest: lets the rest of a request wait for its client's next turn.
         first: settles what has to be settled before a request of a kind; raises while it cannot.
         answered: called with a client whose proposal was answered.
@@ -137,7 +137,7 @@ class Dispatcher:
         }
 
     def serve(self, client: ServedClient, item: Frame) -> None:
-        """Do what a frame asks for and answer it; whatever is wrong with it is the answer."""
+        """Do what a frame asks for and answer it; a fault in it is the answer."""
         try:
             self._first(item.kind)
             self._table[item.kind](client, item.id, read_body(item.body, BODY[item.kind]))
@@ -241,13 +241,13 @@ class Dispatcher:
     def _explain(self, client: ServedClient, number: int, asked: Explain) -> None:
         try:
             client.reply(number, self._view.explain(asked.seq))
-        except RefusedError as error:  # a question without an answer is nobody's attempt
+        except RefusedError as error:  # a question without an answer is not counted as an attempt
             client.error(number, to_fault(error))
 
     def _approvals(self, client: ServedClient, number: int, asked: Approvals) -> None:
         try:
             client.reply(number, msgspec.to_builtins(self._questions.told(asked.counter)))
-        except RefusedError as error:  # a question without an answer is nobody's attempt
+        except RefusedError as error:  # a question without an answer is not counted as an attempt
             client.error(number, to_fault(error))
 
     def _metrics(self, client: ServedClient, number: int, asked: object) -> None:  # noqa: ARG002

@@ -80,7 +80,7 @@ class EmergencyCalls:
         motions: what moves; emergencies are watched there, too.
         controller: the controller's end; None where nothing is connected to anything.
         liveness: alerts.
-        publish: tells everybody who watches.
+        publish: sends an event to every client that watches.
         state_wait_ms: once the robot stands, a call waits so long at most for newer state.
         closing: returns True once the gate ends: nothing is begun then.
     """
@@ -210,7 +210,7 @@ class EmergencyCalls:
             self._refuse(asked, call, call.decision.findings, is_false=not call.is_early)
 
     def _hindered(self, *, begins: bool = False) -> Findings:
-        """Return why nothing could be begun, whatever both gates say; nothing is written then.
+        """Return why nothing could be begun, even if both gates accept; nothing is written then.
 
         Args:
             begins: now, and not once the robot stands.

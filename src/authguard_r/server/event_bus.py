@@ -40,7 +40,7 @@ class EventBus:
         return any(client.watching is not None for client in self._clients())
 
     def publish(self, event: dict[str, Any]) -> None:
-        """Tell everybody who watches, and the journal."""
+        """Send an event to every client that watches, and to the journal."""
         self._journal.event(event)
         if not self.wanted:
             return
@@ -51,12 +51,12 @@ class EventBus:
                 client.event(client.watching, told)
 
     def client(self, client: ServedClient, *, here: bool) -> None:
-        """Tell everybody who watches that a client came (`here`) or left."""
+        """Tell every client that watches that a client came (`here`) or left."""
         told = {"client": client.name, "role": client.role, "here": here}
         self.publish({"event": "client", **told})
 
     def start(self, config: GateConfig, *, unclean: bool) -> None:
-        """Tell everybody who watches that the gate started.
+        """Tell every client that watches that the gate started.
 
         Args:
             config: the signed configuration.
@@ -66,7 +66,7 @@ class EventBus:
         self.publish({"event": "start", **started, "unclean": unclean})
 
     def alert(self, what: str, details: dict[str, Any]) -> None:
-        """Record an alert and tell everybody who watches."""
+        """Record an alert and send it to every client that watches."""
 
         def entry(at: int) -> Entry:
             opened = {"what": what, **details}

@@ -2,9 +2,9 @@
 """The gate's structured log for administrators: one JSON object for each line.
 
 It says that things happen, not what a mission holds: codes, counts, clients, no places, no things,
-no words of a plan. Who comes and goes has a bound of its own: whoever may connect can do so without
-end, and must not hide an alert or a recovery.
-The audit log is another thing. Spec page: docs/spec/gate-protocol.md#journal
+no words of a plan. Arrivals and departures have a bound of their own: a client can connect without
+end, and must not hide an alert or a recovery. The audit log is another thing. Spec page:
+docs/spec/gate-protocol.md#journal
 """
 
 from __future__ import annotations

@@ -112,7 +112,7 @@ def who_of(record: Record, values: dict[str, Any]) -> str:
 def is_refused_proposal(record: Record) -> bool:
     """True for what a planner proposed, or called as an emergency, and a gate refused.
 
-    Whoever asks why the robot does not move does not mean an order or a question of their own.
+    A person who asks why the robot does not move does not mean an order or a question of their own.
     """
     if record.kind == "refusal":
         asked = record.open.get("what") in {PROPOSAL, EMERGENCY}
@@ -121,7 +121,7 @@ def is_refused_proposal(record: Record) -> bool:
 
 
 def is_unsafe(record: Record) -> bool:
-    """True for a decision that the safety gate refused, whatever the mission allows."""
+    """True for a decision that the safety gate refused, also when the mission allows it."""
     safety = record.open.get("safety")
     return isinstance(safety, dict) and safety.get("safe") is False
 

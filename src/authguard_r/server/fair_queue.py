@@ -20,7 +20,7 @@ from authguard_r.wire.frames import Frame, frame, raw_frame
 from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import ClientRole, Fault, Kind
 
-#: Served before anybody else: what they say keeps the robot safe.
+#: Served before all others: their messages keep the robot safe.
 _URGENT = frozenset({ClientRole.CONTROLLER, ClientRole.ESTIMATOR})
 #: Encoded once: who floods gets it often.
 _BUSY = msgspec.json.encode(
@@ -62,7 +62,7 @@ class ServedClient:
         uid: its user.
 
     `clogged` is a client that does not read: what it asked waits until it does, so that answers
-    that nobody takes are not made. `queued` says that the ring has it.
+    that are not read are not made. `queued` says that the ring has it.
     """
 
     def __init__(self, line: ClientLine, *, role: ClientRole, name: Identifier, uid: int) -> None:

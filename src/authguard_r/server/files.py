@@ -108,7 +108,7 @@ def start_time(files: GateFiles, trust: Trust) -> Now:
     """Return the machine's clock, or the latest time that is known to be over if that is later.
 
     A machine without a clock yet starts at that time. Its gate serves stops, and refuses the rest
-    until somebody sets the clock.
+    until the clock is set.
     """
     counted = read_counter(files.outside, verifier=trust)
     signed_ms = token_ms(read_file(files.config))

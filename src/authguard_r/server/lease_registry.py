@@ -56,7 +56,7 @@ class LeaseRegistry:
     """The released actions whose outcome is not recorded yet.
 
     Args:
-        controller: is told which leases still hold; None where nobody has to be.
+        controller: is told which leases still hold; None where there is none.
         streams: what may be sampled while it runs; None where nothing can be.
     """
 

@@ -2,9 +2,8 @@
 """Who has not been heard of, and who gets nowhere: alerts, which change no authority.
 
 False warnings and endless replanning stop a robot as surely as an attack on its motors does; the
-gate cannot make a planner useful, but it can tell somebody.
-Source: the liveness question of section "Problem Formulation". Spec page:
-docs/spec/gate-protocol.md#alerts
+gate cannot make a planner useful, but it can raise an alert. Source: the liveness question of
+section "Problem Formulation". Spec page: docs/spec/gate-protocol.md#alerts
 """
 
 from __future__ import annotations
@@ -102,7 +101,7 @@ class Liveness:
         """Raise what is due, and end what is over: one alert for each silence.
 
         Args:
-            active: a mission is active; nobody has to speak without one.
+            active: a mission is active; without one no silence counts.
             controller: a controller is connected, or this gate needs none.
             estimator: an estimator has to speak; False where the robot is in this process.
             in_time: the wall clock is not behind what was committed.

@@ -29,7 +29,8 @@ from authguard_r.normalize.binding import Binding
 from authguard_r.site.model import Site
 from authguard_r.wire.gate_limits import LIMITS
 
-#: Takes a plan that was read, or why it could not be; None: it was not, for nobody waits.
+#: Takes a plan that was read, or why it could not be; None: it was not read, because no client
+#: waits.
 Taken = Callable[[Plan | AuthGuardError | None], None]
 
 
@@ -91,7 +92,7 @@ class PlanReader:
             dialect: how it is written.
             taken: gets the plan, or why there is none.
             uid: whose it is.
-            wanted: asked when its turn comes: a plan that nobody waits for is not read.
+            wanted: asked when its turn comes: a plan without a waiting client is not read.
 
         Raises:
             EnvironmentFault: enough wait already, of this user or of all.

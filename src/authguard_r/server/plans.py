@@ -84,7 +84,7 @@ class Plans:
         proposals: what is recorded of earlier proposals.
         foresight: asks both gates without any effect, and lets a step wait for newer state.
         disclosure: how much a planner is told.
-        shadow: every step is judged, whatever became of the one before: nothing is released.
+        shadow: every step is judged, also after a refused one: nothing is released.
         later: lets a client's next step wait for its turn.
         answered: called with a client whose proposal was answered.
         decided: called with the report of every decision; one that released has no outcome yet.
@@ -153,7 +153,7 @@ class Plans:
                 lambda plan: self._carry_out(proposal, proposal.read(plan)),
                 wanted=lambda: not proposal.client.gone,  # another connection may have taken over
             )
-        except BaseException:  # whatever it was: the key is free again
+        except BaseException:  # after any exception the key is free again
             self._open.pop((client.name, asked.key), None)
             raise
 

@@ -2,8 +2,8 @@
 """The gate's process from start to end: which resources it opens, in which order, and closes.
 
 Order matters: the robot's name first, then the store, then recovery, then the stop process, and
-only then clients. A gate that cannot have all of them serves nobody.
-Spec page: docs/spec/gate-protocol.md#start-and-end
+only then clients. A gate that cannot have all of them serves no client. Spec page:
+docs/spec/gate-protocol.md#start-and-end
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def run_gate(parts: GateParts, ready: Callable[[Rendezvous], None]) -> None:
     with suppress(OSError):
         os.nice(
             LIMITS.priority
-        )  # whoever floods the machine waits for the robot, not the robot for him
+        )  # a flood of the machine waits for the robot, not the robot for the flood
     with ExitStack() as held:
         lock = _hold(parts)
         held.callback(lock.release)
@@ -129,7 +129,7 @@ def run_gate(parts: GateParts, ready: Callable[[Rendezvous], None]) -> None:
         asyncio.run(_serve(parts, service, keeper, lock=lock, ready=ready))
         if gate.ended():
             recovery.end()
-        else:  # it starts as after a crash, and somebody is told why
+        else:  # it starts as after a crash, and an alert says why
             service.events.publish({"event": "alert", "what": "refusals could not be recorded"})
 
 
@@ -238,7 +238,7 @@ def _policy(config: GateConfig) -> RefusalPolicy:
     return RefusalPolicy(
         delay_ms=LIMITS.refusal_delay_ms,
         fold_ms=0 if shadow else config.fold_ms,
-        users=len({peer.uid for peer in config.peers}) + 1,  # and the one whom nobody named
+        users=len({peer.uid for peer in config.peers}) + 1,  # and the one without a name
     )
 
 

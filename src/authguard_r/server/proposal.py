@@ -148,7 +148,7 @@ class Proposal:
         asked: the request.
         evidence: digest of the planner's exact bytes.
         disclosure: how much the planner is told.
-        shadow: every step is judged, whatever became of the one before: nothing is released.
+        shadow: every step is judged, also after a refused one: nothing is released.
     """
 
     def __init__(

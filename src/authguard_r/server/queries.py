@@ -189,7 +189,7 @@ class GateQueries:
     def explain(self, seq: int | None) -> dict[str, Any]:
         """Return one record in words; without a number, the planner's last refused proposal.
 
-        Sealed fields stay closed: whoever asks may have no key to them.
+        Sealed fields stay closed: the client may have no key to them.
 
         Raises:
             RefusedError: there is no such record.

@@ -174,7 +174,7 @@ class RemoteController:
         )
 
     def detach(self) -> None:
-        """Let a connection go that ended: whatever ran is in doubt from now on."""
+        """Let a connection go that ended: what ran is in doubt from now on."""
         self._send = None
         for flight in self._flights.values():
             flight.leave()
@@ -292,7 +292,7 @@ class RemoteController:
         if waiting is None or self._mono_ms() - waiting.since_ms < LIMITS.explain_within_ms:
             return self._stops
         explained = partial(self._explained, waiting)
-        if not self._ask(explained):  # nobody can have stopped it through a stop process
+        if not self._ask(explained):  # it cannot have been stopped through a stop process
             explained()
         return self._stops
 

@@ -29,7 +29,7 @@ def retold(
     Args:
         decision: the record of the decision.
         sealed: the values beside it.
-        outcome: the record of its outcome; None while nobody recorded one.
+        outcome: the record of its outcome; None while it is not recorded.
         beside: the values beside that.
 
     Raises:

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """One gate for one robot: two that both believe they hold it would each spend what is left.
 
-Held are things that no other user can take first: an abstract Unix socket's name that nobody can
-foresee and that says whose gate it is, the run folder's lock, the key's own file, and a lock of the
-robot's beside its store and its key. A process that is frozen keeps them all; the kernel frees them
-when it dies, however it dies.
-Spec page: docs/spec/gate-protocol.md#one-gate
+Held are things that no other user can take first: an abstract Unix socket's name that cannot be
+foreseen and that says whose gate it is, the run folder's lock, the key's own file, and a lock of
+the robot's beside its store and its key. A process that is frozen keeps them all; the kernel frees
+them when it dies, however it dies. Spec page: docs/spec/gate-protocol.md#one-gate
 """
 
 from __future__ import annotations
@@ -49,7 +48,7 @@ class Lock:
             try:
                 asking, _ = self._name.accept()
             except OSError:
-                return  # nobody else asks
+                return  # no other process asks
             asking.close()
 
     def release(self) -> None:
@@ -129,7 +128,7 @@ def _hold_name(rid: RobotId, fingerprint: str) -> socket.socket:
 def _names(stem: bytes) -> list[bytes]:
     """Return the abstract socket names with this prefix, of any process.
 
-    Anybody may take such a name, and even write lines of this list: it says only whom to ask.
+    Anyone may take such a name, and even write lines of this list: it says only whom to ask.
     """
     shown = b"@" + stem[1:]
     lines = [line.split(None, 7) for line in _NAMES.read_bytes().splitlines()]
@@ -191,7 +190,7 @@ def _hold_file(path: Path, taken: str) -> int:
 
 
 def _hold_key(key: Path) -> int:
-    """Hold the file that makes a gate this robot's, in whatever namespace it is opened."""
+    """Hold the file that makes a gate this robot's, in every namespace."""
     try:
         file = os.open(key, os.O_RDONLY | os.O_CLOEXEC)
     except OSError as error:

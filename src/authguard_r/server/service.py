@@ -211,7 +211,7 @@ class Service:
     def came(self, client: ServedClient, item: Frame, *, alone: bool) -> None:
         """Let a frame wait for its turn; serve it now when it comes alone and nothing waits."""
         self._hear(client)
-        if item.kind is Kind.STOP:  # before anybody's turn
+        if item.kind is Kind.STOP:  # before every turn
             self._braking.came(client, item, self.refused)
             return
         at_once = alone and not self._queue and not self._turning
@@ -351,7 +351,7 @@ class Service:
         self._parts.journal.counts(self.queries.counted, self.gate.ledger.mono_ms())
 
     async def _come_to_rest(self) -> None:
-        """Stop what moves, wait for it to stand, and let everybody go."""
+        """Stop what moves, wait for it to stand, and end every connection."""
         self._closing = True
         # a next step, and a plan that is being read
         self.gate.enforcer.require(_refuse_all, first=True)

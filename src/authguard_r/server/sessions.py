@@ -2,7 +2,7 @@
 """One connection: who it is, which bytes may come, and what becomes of a client that misbehaves.
 
 A connection that says nothing, says too much, never reads, or claims what it may not be is closed;
-nobody else notices. Spec page: docs/spec/gate-protocol.md#connections
+the other clients do not notice. Spec page: docs/spec/gate-protocol.md#connections
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ class _ToldStop(Struct, frozen=True, kw_only=True):
         role: what it is here.
         key: names the stop; empty: nothing else is the same.
         why: its words.
-        stood_ms: after how long the robot stood; None: nobody confirmed it.
+        stood_ms: after how long the robot stood; None when it was not confirmed.
         by_lane: the stop process tells of it, or else the gate itself.
     """
 
@@ -58,7 +58,7 @@ class _Known(Struct, frozen=True):
     Args:
         by_lane: who told of it last.
         at_ms: when, on the gate's monotonic clock.
-        is_confirmed: somebody said that the robot stood.
+        is_confirmed: a controller said that the robot stood.
         is_whole: stop process and gate have told of it since.
     """
 
@@ -121,7 +121,7 @@ class StopRecorder:
         Args:
             client: whose stop it is; an operator's has suspended the mission already.
             stop: as it was asked for.
-            stood_ms: after how long the robot stood; None: nobody confirmed it.
+            stood_ms: after how long the robot stood; None when it was not confirmed.
             more: later stops of the same user and role that were folded into this one.
         """
         told = _ToldStop(
@@ -185,7 +185,7 @@ class StopRecorder:
     def _recall(self, told: _ToldStop) -> _Known | None:
         """Return what is known of the same stop.
 
-        Stop process and gate each tell of it, and tell again while nobody confirms it. Once it is
+        Stop process and gate each tell of it, and tell again until it is confirmed. Once it is
         confirmed and one of the two tells of the same name again, that is another stop.
         """
         if not told.key:

@@ -34,7 +34,7 @@ from authguard_r.server.remote_controller import DURATION, RemoteController, is_
 from authguard_r.store.transactions import Ledger
 from authguard_r.wire.gate_limits import LIMITS
 
-#: Returns how far a robot goes on when it is stopped at a speed, None when nobody can say.
+#: Returns how far a robot goes on when it is stopped at a speed, None when that is unknown.
 StoppingWay = Callable[[int], int | None]
 
 
@@ -164,7 +164,7 @@ class Streams:
         Args:
             client: its planner.
             running: the released action.
-            gone: true once nobody is connected any more who would be told how it ended.
+            gone: true once its planner is not connected any more.
         """
         if is_stream(require_judged(running.report).action):
             now_ms = self._ledger.mono_ms()
@@ -176,7 +176,7 @@ class Streams:
         Args:
             client: who sent it.
             ticket: the release that it belongs to.
-            params: what it asks for; anybody may have written it.
+            params: what it asks for; untrusted.
 
         Raises:
             RefusedError: no such stream of this client.

@@ -112,7 +112,7 @@ class WhatIf:
         """True while the decision rests on state from before the last motion.
 
         Such state makes a guard or a place unknown, another grant than the right one the closest,
-        and a risk higher. Whatever goes wrong here, the decision itself says.
+        and a risk higher. The decision itself reports any fault here.
         """
         gate, intake = self._gate, self._gate.enforcer.intake
         try:

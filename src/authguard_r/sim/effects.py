@@ -2,8 +2,8 @@
 """What the standard words do to things and settings; motion and gripping are `world`'s.
 
 A thing has conditions (`open`, `on`, `broken`, `filled-3`), the robot has settings (its gait, its
-lamp). Physics only: whether anything of this is allowed, or wise, is nobody's business here.
-Source: `eq:transition`. How-to: docs/howto/simulator.md
+lamp). Physics only: whether anything of this is allowed, or wise, is decided elsewhere. Source:
+`eq:transition`. How-to: docs/howto/simulator.md
 """
 
 from __future__ import annotations

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The symbolic robot: a controller, an estimator and a clock that share one simulated time.
 
-Implements `core.ports.Controller`, `StateSource` and `Clock`. Time passes only when somebody
-pauses, so a run of minutes takes milliseconds and is the same every time; a process that pauses as
-real time passes has a robot in real time. Faults are injected, not guessed: drift off the way, a
-failed grasp, an estimator that stopped looking.
-How-to: docs/howto/simulator.md
+Implements `core.ports.Controller`, `StateSource` and `Clock`. Time passes only in a pause, so a run
+of minutes takes milliseconds and is the same every time; a process that pauses as real time passes
+has a robot in real time. Faults are injected, not guessed: drift off the way, a failed grasp, an
+estimator that stopped looking. How-to: docs/howto/simulator.md
 """
 
 from __future__ import annotations
@@ -182,7 +181,7 @@ class SymbolicRobot:
     # StateSource
 
     def latest(self) -> bytes | None:
-        """Return the newest snapshot, signed when somebody asks for it."""
+        """Return the newest snapshot, signed when it is asked for."""
         if self._token is None and self._snapshot is not None and self._estimator is not None:
             self._token = sign_object(self._snapshot, Tag.STATE, self._estimator)
         return self._token
@@ -193,7 +192,7 @@ class SymbolicRobot:
         self._observe()
 
     def sensed(self) -> Snapshot | None:
-        """Return what the sensors see right now, signed by nobody; None when they are silent."""
+        """Return what the sensors see right now, unsigned; None when they are silent."""
         dies = self.faults.estimator_dies_ms
         if dies is not None and self.elapsed_ms >= dies:
             return None

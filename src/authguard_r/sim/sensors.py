@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The symbolic robot's sensors: raw snapshots for whoever may open the socket.
+"""The symbolic robot's sensors: raw snapshots for every process that may open the socket.
 
-Nobody signs them and nothing is read from who listens. A frame's id is the machine's monotonic
-clock when it was measured, so that what waited in a buffer is known to be old.
-How-to: docs/howto/simulator.md
+They are unsigned, and nothing is read from a listener. A frame's id is the machine's monotonic
+clock when it was measured, so that what waited in a buffer is known to be old. How-to:
+docs/howto/simulator.md
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ class SensorServer:
             os.umask(before)
 
     def look(self) -> None:
-        """Send what is seen now to everybody who keeps up."""
+        """Send what is seen now to every listener that keeps up."""
         now_ms = self._clock()  # before the look: nothing is said to be newer than it is
         seen = self._look()
         if seen is None:
@@ -111,7 +111,7 @@ class SensorServer:
                 listener.write(data)
 
     async def close(self) -> None:
-        """Let everybody go and take the socket away."""
+        """End every connection and remove the socket."""
         if self._server is None:
             return
         self._server.close()
@@ -126,7 +126,7 @@ def _require_free(path: Path) -> None:
         try:
             probe.connect(str(path))
         except OSError:
-            return  # nobody answers there
+            return  # no process answers there
     raise _unusable(path, "a robot's process is running already")
 
 

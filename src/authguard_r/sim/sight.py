@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the sensors say of the world: values and a pose, signed by nobody yet."""
+"""What the sensors say of the world: values and a pose, unsigned."""
 
 from __future__ import annotations
 

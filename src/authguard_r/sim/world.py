@@ -39,7 +39,7 @@ GRIP_MS = 2_000
 DRIVEN = frozenset({"back_up", "dock", "drive", "navigate", "survey", "walk"})
 #: Types that take no time at all.
 INSTANT = frozenset({"announce", "find", "hold", "read_metadata", "scan_obstacles"})
-#: How fast it goes when nobody said: millimeters per second.
+#: Default speed, in millimeters per second.
 USUAL_SPEED_MM_S = 500
 FULL_TURN_URAD = 6_283_185
 #: Battery, per mille of full, used by a meter of motion.
@@ -47,7 +47,7 @@ BATTERY_PER_METER = 1
 
 
 def initial_state(site: Site, home: RegionId, *, battery_permille: int = 870) -> WorldState:
-    """Return the world with every object at home, every door open, nobody near."""
+    """Return the world with every object at home, every door open, no person near."""
     region = site.regions[home]
     return WorldState(
         x_mm=region.approach[0],

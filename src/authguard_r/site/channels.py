@@ -2,7 +2,7 @@
 """The ways on which a text reaches the planner, each with the label that its texts have.
 
 A site may name channels of its own and trust a shipped one less. It can trust none more: text is
-not a signature, whoever is said to have written it.
+not a signature, whatever author it names.
 
 Source: section "Provenance Labels", `tab:provenance`. Spec page: docs/spec/provenance.md
 """

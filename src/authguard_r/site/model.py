@@ -128,9 +128,9 @@ class ActionModel(_Model, frozen=True, kw_only=True):
     """One canonical action type; see `core.facts.ActionKind` for the flags.
 
     Args:
-        physical: how badly a body or property can be hurt, whatever the parameters say: 0 not at
-            all, 1 a bruise or a scratch, 2 an injury or a thing destroyed, 3 a life. For people
-            who read the site and review a mission; the decision's risk does not weigh it yet.
+        physical: how badly a body or property can be hurt at worst, for all parameters: 0 not at
+            all, 1 a bruise or a scratch, 2 an injury or a thing destroyed, 3 a life. For people who
+            read the site and review a mission; the decision's risk does not weigh it yet.
         beside: a controller that can may begin it while another action runs, and another while
             this one runs; absent, no.
     """
@@ -180,7 +180,7 @@ class Robot(_Model, frozen=True, kw_only=True):
 
 
 class PersonRole(StrEnum):
-    """What a person of the site may be; a certificate decides what somebody may sign."""
+    """The roles of a person of the site; a certificate decides what a person may sign."""
 
     OPERATOR = "operator"
     SAFETY_OFFICER = "safety_officer"

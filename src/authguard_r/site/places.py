@@ -46,8 +46,7 @@ class Neighbors(Struct, frozen=True, kw_only=True):
 
     Args:
         between: the two regions, sorted.
-        doors: their numbers in the site's list; none: a wall, or open floor that nobody drew a
-            door for.
+        doors: their numbers in the site's list; none: a wall, or open floor without a drawn door.
         edges: stretches that the outlines share, each longer than a point.
     """
 
@@ -75,8 +74,8 @@ def adjacent(site: Site) -> tuple[Neighbors, ...]:
 def region_faults(site: Site) -> Iterator[tuple[str, str]]:
     """Yield what is wrong with the regions: each by itself, within others, and beside others.
 
-    What it costs is bounded, whatever somebody drew: a site of too many regions, nested too deep
-    or too intricate to compare is refused and not looked at further.
+    Its cost is bounded: a site of too many regions, nested too deep or too intricate to compare is
+    refused and not looked at further.
     """
     if len(site.regions) > MOST_REGIONS:
         yield "regions", f"expected at most {MOST_REGIONS} regions, got {len(site.regions)}"
@@ -140,8 +139,8 @@ def _overlap_faults(
 ) -> Iterator[tuple[str, str]]:
     """Yield regions of one floor that have an area in common and do not say so.
 
-    After `MOST_OVERLAPS` nobody looks further: a thousand regions on one spot have half a million
-    pairs, and the site is refused for the first as for the last.
+    After `MOST_OVERLAPS` the search ends: a thousand regions on one spot have half a million pairs,
+    and the site is refused for the first as for the last.
     """
     told, left, pairs = 0, MOST_EFFORT, _near(sound)
     if len(pairs) > MOST_PAIRS:

@@ -180,7 +180,7 @@ def _side(point: _Exact, points: Points) -> Side:
 
 
 def _outline(points: Points) -> frozenset[Edge]:
-    """Return the outline as maximal straight stretches, whatever corners lie along them."""
+    """Return the outline as maximal straight stretches, without corners along them."""
     corners = [
         here
         for before, here, after in zip(

@@ -88,7 +88,7 @@ def sign_site(site: Site, signer: Signer, *, where: str = "site") -> bytes:
 
     Raises:
         MalformedError: the site has faults, or an import's `unreviewed` still stands in it: a
-            signature says that somebody looked.
+            signature says that a person looked.
     """
     require_sound(site, where=where)
     left = unreviewed(site)

@@ -25,7 +25,7 @@ T = TypeVar("T")
 
 #: Most keys and values of one text, so that a megabyte of `[],` is no burden.
 MAX_NODES = 100_000
-#: How deep a text may be nested, whoever reads it; a site needs eight.
+#: How deep a text may be nested for every reader; a site needs eight.
 MAX_DEPTH = 64
 
 
@@ -36,7 +36,7 @@ class _TooLargeError(yaml.YAMLError):
 class _StrictLoader(Composer, yaml.CSafeLoader):
     """Refuses duplicate keys, aliases, tags, and words that only look like values.
 
-    The composer comes before the parser's own, which asks nobody about a node.
+    The composer comes before the parser's own, which has no hook for a node.
     """
 
     def __init__(self, stream: str) -> None:
@@ -120,7 +120,7 @@ def read_yaml(text: str, *, where: str) -> object:
     """Return the plain data in strict YAML.
 
     Args:
-        text: from anybody; what it costs is bounded by its length and its number of values.
+        text: untrusted; what it costs is bounded by its length and its number of values.
         where: the file's name, for places in messages.
 
     Raises:

@@ -27,8 +27,8 @@ _FILE = "words.yaml"
 def standard_words() -> dict[ActionType, ActionModel]:
     """Return the standard vocabulary: each canonical action type with its model.
 
-    The dict is the caller's own; changing it changes nothing for anybody else. None of these
-    types is part of a site until the site names it.
+    The dict is the caller's own; changing it changes nothing elsewhere. None of these types is part
+    of a site until the site names it.
     """
     return dict(_standard())
 

@@ -28,8 +28,8 @@ def registered(act: Transaction, mid: MissionId, digest: Digest) -> Standing | N
         digest: of the version's signed bytes.
 
     Returns:
-        Its standing, whatever its status; None when this version was never handed in, or when a
-        later one took its place.
+        Its standing in every status; None when this version was never handed in, or when a later
+        one took its place.
 
     Raises:
         StoreError: what is held is no standing.

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The layout of a store's file, and how one is taken hold of.
 
-The triggers guard against mistakes: whoever can write the file can take them away.
-Spec page: docs/spec/store.md#file
+The triggers guard against mistakes: a writer of the file can remove them. Spec page:
+docs/spec/store.md#file
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def prepare(connection: apsw.Connection, path: Path) -> None:
     erase(connection)  # after a crash, of what may have been let go of before it
     # taking the exclusive lock now, not at the first decision
     connection.execute("BEGIN IMMEDIATE")
-    if is_empty(connection):  # again: now nobody else can make it
+    if is_empty(connection):  # again: now no other process can make it
         connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
         connection.execute(f"PRAGMA user_version = {ALONE}")
         connection.execute(TABLES + _NO_GAP)

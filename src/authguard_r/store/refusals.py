@@ -50,7 +50,7 @@ class RefusalPolicy(Struct, frozen=True, kw_only=True):
             and the ledger's owner flushes at least this often.
         fold_ms: how long repeats are counted before they are one record; 0 counts none.
         users: how many users may be refused. Each has an equal share of the windows, under all its
-            names, and one share is nobody's: no number of them takes away another's.
+            names, and one share is common: no number of clients takes away another's.
     """
 
     delay_ms: int = 0
@@ -181,7 +181,7 @@ class Refusals:
         """Let a refusal wait, or count it when it is a repeat or there is no room for it."""
         has_room = self.may_write()
         key = _cut(fold)
-        # what cannot be spelled fails here, not in front of somebody else's commit
+        # what cannot be spelled fails here, not in front of another commit
         data = encode_fast(entry)
         with self._lock:
             if not has_room:
@@ -254,7 +254,7 @@ class Refusals:
         return window
 
     def _window_of(self, key: Fold) -> _Window:
-        """Return the window that counts a refusal: its own, its client's, or everybody's."""
+        """Return the window that counts a refusal: its own, its client's, or the common one."""
         if key in self._windows:
             return self._windows[key]
         theirs = (key[0], _ANYTHING, _ANYTHING)
@@ -284,7 +284,7 @@ class RecordBatch:
         refusals: what waits.
         salts: returns that many fresh random bytes.
         marks: what every record says in its open part.
-        sealer: seals fields of what is written; None: nobody does.
+        sealer: seals fields of what is written; None: no field is sealed.
         fence: called after a record that ends a motion, before it is committed.
     """
 
@@ -329,7 +329,7 @@ class RecordBatch:
         return self._sealer is not None
 
     def forget_keys(self, mid: str) -> None:
-        """Forget the keys of a mission's records, whatever becomes of this turn."""
+        """Forget the keys of a mission's records, even if this turn fails."""
         if self._sealer is not None:
             self._sealer.forget(mid)
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reserved disk space, freed when an outcome or a stop has no room.
 
-Whoever fills the disk, by a flood of proposals or by anything else on the machine, must not be
-able to keep the gate from writing down what the robot did. Spec page: docs/spec/store.md#reserve
+A full disk, by a flood of proposals or by anything else on the machine, must not keep the gate from
+writing down what the robot did. Spec page: docs/spec/store.md#reserve
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import threading
 from contextlib import suppress
 from pathlib import Path
 
-#: Bytes in a block as `stat` counts them, whatever the file system's own are.
+#: Bytes in a block as `stat` counts them, on every file system.
 _BLOCK = 512
 
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Moves the oldest records of a store into a segment, a little between the turns.
 
-Copied, sealed and named, then marked in one commit, then deleted where they were. Whatever dies in
-between, each record is in the store or in a marked segment, and is read once.
-Spec page: docs/spec/store.md#rotation
+Copied, sealed and named, then marked in one commit, then deleted where they were. After a crash in
+between, each record is in the store or in a marked segment, and is read once. Spec page:
+docs/spec/store.md#rotation
 """
 
 from __future__ import annotations

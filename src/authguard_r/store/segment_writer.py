@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writes one segment: rows come page by page, the checkpoint last, then the file has its name.
 
-Until then it is `NAME.part`: nobody reads it, and what a crash leaves of it is removed.
-Spec page: docs/spec/store.md#rotation
+Until then it is `NAME.part`: it is not read, and what a crash leaves of it is removed. Spec page:
+docs/spec/store.md#rotation
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The sealed segments of a store's log: its oldest records, each file whole by itself.
 
-The store holds which there are, where each begins and ends, and the links that it joins with.
-Nobody needs to trust a file: one that is missing, that is another log's or that does not join is
-named with its records before a row of it is read. What a record says is the chain's to verify.
-Spec page: docs/spec/store.md#segments
+The store holds which there are, where each begins and ends, and the links that it joins with. A
+file is untrusted: one that is missing, that is another log's or that does not join is named with
+its records before a row of it is read. What a record says is the chain's to verify. Spec page:
+docs/spec/store.md#segments
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class Segments:
         folder: where they lie.
         index: which there are, in order (`read_index`).
         vfs: name of an SQLite file system, for tests that cut the power.
-        strange: anybody may have made the files (`store.strangers`).
+        strange: the files are untrusted (`store.strangers`).
     """
 
     def __init__(
@@ -319,7 +319,7 @@ def find(folder: Folder, name: str, *, vfs: str | None = None) -> SegmentClaims:
     """
     connection = _opened(folder, name, "the segment", vfs=vfs)
     try:
-        if vfs is None:  # anybody may have made it
+        if vfs is None:  # untrusted
             hold(connection, Path(folder.place(name)))
         return _found(connection, name)
     except (apsw.Error, UnicodeDecodeError, MalformedError, StoreError) as error:

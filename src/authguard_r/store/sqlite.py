@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The durable store: SQLite in WAL mode, synchronous FULL, one writer, group commit.
 
-NORMAL would lose acknowledged commits in a power cut (L17). Whoever gets the lock first commits
-for everybody who waits: one fsync for the whole batch, no thread of our own, and a lone caller
-pays for nothing but its own transaction. A job that changes nothing costs no fsync.
-Spec page: docs/spec/store.md
+NORMAL would lose acknowledged commits in a power cut (L17). The first caller that gets the lock
+commits for all that wait: one fsync for the whole batch, no thread of our own, and a lone caller
+pays for nothing but its own transaction. A job that changes nothing costs no fsync. Spec page:
+docs/spec/store.md
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class SqliteStore:
         self._wal: tuple[int, int] | None = None
         self._connection = connection
         self._reserve = reserve
-        #: The log's oldest records; for whoever moves them, under `upkeep`.
+        #: The log's oldest records; for the caller that moves them, under `upkeep`.
         self.segments = segments
         self._execute = connection.cursor().execute
         self._closed, self._lock = False, threading.Lock()

@@ -68,8 +68,8 @@ class Ledger:
         inputs: what replaying a decision needs beside the decision's own record.
         refusals: what waits and what is counted; the default records each refusal at once.
         marks: what every record says in its open part: that it is of a shadow run.
-        since_ms: time is not before this, whatever wall clock and store say.
-        sealer: seals fields of the log; None: all of it lies open to whoever has it.
+        since_ms: time is not before this, also when wall clock and store are.
+        sealer: seals fields of the log; None: all of it is readable.
     """
 
     def __init__(
@@ -352,7 +352,7 @@ class Ledger:
             )
         elif turn.get("log", "place") != _place(genesis):
             self._move(turn, genesis, inputs)
-        # nobody knows what the robot did while no gate ran: more than was ever given before
+        # it is unknown what the robot did while no gate ran: more than was ever given before
         self.fence = self.last_ms() + turn.head()[0] + 1
 
     def _move(self, turn: Turn, genesis: dict[str, object], inputs: dict[str, object]) -> None:
@@ -513,7 +513,7 @@ class Transaction:
 
 
 def stop_stands(turn: Turn | Transaction) -> bool:
-    """True while an operator's stop stands, whatever is active."""
+    """True while an operator's stop stands, for every mission."""
     return bool(turn.get(*STOP))
 
 

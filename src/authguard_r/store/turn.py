@@ -46,8 +46,8 @@ class SqliteTurn:
     def write(self) -> None:
         """Write what the job put and appended; on disk when the batch commits.
 
-        The first that writes begins the transaction: nobody else can have the file, so what was
-        read before it was the same.
+        The first that writes begins the transaction: no other process can have the file, so what
+        was read before it was the same.
         """
         if not self.changes:
             return

@@ -80,7 +80,7 @@ class Question(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         risk: the score.
         required: people needed, the issuer included.
         behind: people that stand behind it now, the issuer included.
-        denied: somebody who may answer denied.
+        denied: a person who may answer denied.
         roles: roles whose holders may answer.
         places: regions that an approver's certificate has to name.
         answers: what was answered so far.

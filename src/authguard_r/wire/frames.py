@@ -67,7 +67,7 @@ class FrameReader:
         return frames
 
     def put(self, data: bytes | memoryview) -> None:
-        """Take in bytes; `next` cuts them, held to whatever bound counts by then."""
+        """Take in bytes; `next` cuts them, under the bound that counts by then."""
         self._held += data
 
     def next(self) -> Frame | None:

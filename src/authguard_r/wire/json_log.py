@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lines for whoever runs the machine: one JSON object each, and never so many that a disk fills.
+"""The administrator's log: one JSON object in a line, never so many that they fill a disk.
 
 Of each kind so many are written in a second; the others are counted. Nothing waits: a line that
 cannot be written at once is counted and dropped, too. Spec page: docs/spec/listeners.md#log
@@ -15,7 +15,7 @@ from typing import Any
 
 import msgspec
 
-#: Where a process is to say what happens, whatever `sys.stderr` leads to.
+#: Where a process writes its log, independent of `sys.stderr`.
 STDERR = 2
 #: Lines of one kind in a second.
 MOST_LINES = 50
@@ -47,8 +47,8 @@ class Lines:
 
         Args:
             line: what is said.
-            kind: what shares a bound: what strangers can cause must not hide what they cannot.
-                None has no bound: whoever causes it is known.
+            kind: what shares a bound: what strangers can cause must not hide what they cannot. None
+                has no bound: its causer is known.
             most: lines of this kind in a second, if fewer.
         """
         now_ms = time.time_ns() // 1_000_000

@@ -28,12 +28,12 @@ from authguard_r.core.standing import Outcome, Spend
 
 #: Name and version of the protocol; another one is refused at the first message.
 PROTOCOL = "authguard-r/gate/1"
-#: Longest first message, in bytes: nobody is known yet.
+#: Longest first message, in bytes: the client is not known yet.
 MAX_HELLO = 4_096
 #: Longest answer or event, in bytes.
 MAX_ANSWER = 1 << 23
 _SMALL = 4_096
-#: Longest words of whoever stops, in characters.
+#: Longest words of the person who stops, in characters.
 MAX_WHY = 200
 
 #: A client's own name for a proposal: the same key is the same proposal.
@@ -260,7 +260,7 @@ class OrderKind(StrEnum):
     SELECT = "select"
     APPROVE = "approve"
     TEMPLATE = "template"
-    #: a signed revocation list; whoever brings it
+    #: a signed revocation list; anyone may bring it
     REVOCATIONS = "revocations"
     #: a signed order to go on with a store that was put back
     ACCEPT_STORE = "accept_store"
@@ -415,7 +415,7 @@ class Stood(_Message, frozen=True, kw_only=True):
 
 
 class Stop(_Message, frozen=True, kw_only=True):
-    """Brake and hold, for whoever may speak to the stop process or the gate.
+    """Brake and hold, for every client of the stop process or the gate.
 
     Args:
         why: for the log; explains, decides nothing.
@@ -430,8 +430,8 @@ class Stopped(_Message, frozen=True, kw_only=True):
     """What became of a stop (the `REPLY` to `STOP`).
 
     Args:
-        stopped: every controller that was told has said that the robot stands; false says that
-            nobody confirmed it, not that the robot moves.
+        stopped: every controller that was told has said that the robot stands; false says that it
+            was not confirmed, not that the robot moves.
         controller: at least one controller was connected, and was told.
         after_ms: from the request to this answer.
     """
@@ -454,8 +454,8 @@ class StopHeard(_Message, frozen=True, kw_only=True):
         role: what it was there.
         time_ms: the stop process's wall clock when it came.
         why: the client's words; explain, decide nothing.
-        stood_ms: after how long the robot stood, the longest of all; null when nobody confirmed
-            one of them in time.
+        stood_ms: after how long the robot stood, the longest of all; null when one of them was not
+            confirmed in time.
         stops: the controller's count of stops with this one, or with the last of all that was
             confirmed; null when none was.
         life: the start of the controller that `stops` counts from, 0 when it is not known.
@@ -555,7 +555,7 @@ MAY: dict[ClientRole, frozenset[Kind]] = {
 
 
 def opening_bound(kind: int) -> int:
-    """Return the longest body before anybody is known: a hello's, and nothing else's."""
+    """Return the longest body before the client is known: a hello's, and nothing else's."""
     return MAX_HELLO if kind == Kind.HELLO else 0
 
 

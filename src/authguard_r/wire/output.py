@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a process answers whoever started it: one JSON object or text, and an exit code.
+"""How a process answers its caller: one JSON object or text, and an exit code.
 
 Exit codes: 0 done or accepted; 1 authentic but refused; 2 wrong usage; 3 clarification or approval
 needed; 4 unparsable or not authentic; 5 the environment is at fault.

@@ -17,7 +17,7 @@ async def reach(wire: socket.socket, path: Path) -> None:
     The event loop's own way takes a full queue for a connection.
 
     Raises:
-        OSError: nobody listens there.
+        OSError: no process listens there.
         ValueError: the path cannot be a socket's.
     """
     wire.settimeout(0)

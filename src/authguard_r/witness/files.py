@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of a witness: replaced whole and durably, and nobody else's to read or write.
+"""Files of a witness: replaced whole and durably, and readable and writable by its user alone.
 
 Spec page: docs/spec/witness.md#state
 """
@@ -124,7 +124,7 @@ def hold(path: Path) -> int:
 
 
 def require_own(path: Path, uid: int) -> None:
-    """Require that a file or folder is this user's, and nobody else's to read or write.
+    """Require that a file or folder is this user's, and that no other user can read or write it.
 
     Raises:
         EnvironmentFault: it is not, or is not there.
@@ -143,12 +143,12 @@ def require_own(path: Path, uid: int) -> None:
 
 
 def require_safe_above(path: Path, uid: int) -> None:
-    """Require that nobody else can put another folder in this one's place.
+    """Require that no other user can put another folder in this one's place.
 
-    A folder with the sticky bit, like `/tmp`, lets nobody touch what another user put there.
+    In a folder with the sticky bit, like `/tmp`, a user cannot touch what another user put there.
 
     Raises:
-        EnvironmentFault: somebody can.
+        EnvironmentFault: another user can.
     """
     for folder in path.resolve().parents:
         found = folder.stat()

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a witness answers: a request and what it knows of the log in, a verdict out.
 
-Pure, and in the order of C2SP's tlog-witness. Nobody who asks is trusted: only the log's own keys
-say that a checkpoint is the log's, and only the proof says that it follows from the last one.
-Spec page: docs/spec/witness.md#answers
+Pure, and in the order of C2SP's tlog-witness. No client is trusted: only the log's own keys say
+that a checkpoint is the log's, and only the proof says that it follows from the last one. Spec
+page: docs/spec/witness.md#answers
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ class WitnessVerdict(Struct, frozen=True, kw_only=True):
 
     Args:
         finding: what the request was found to be.
-        message: why, for whoever asked; no secret, and nothing of the request.
+        message: why, for the client; no secret, and nothing of the request.
         size: of the newest checkpoint that was cosigned, where that is the answer.
     """
 
@@ -198,7 +198,7 @@ def require_log_keys(keys: tuple[NoteKey, ...]) -> str:
 
 
 def _require_usable(key: NoteKey) -> None:
-    """Require a sound key that signs texts, by asking it of a signature that nobody made."""
+    """Require a sound key that signs texts: it must refuse a signature that was never made."""
     asked = Note("no checkpoint\n", (NoteSignature(key.name, key.id, bytes(64)),))
     try:
         verify_note(asked, (key,), where="--log")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The witness's door: many connections, one thread, and nobody waits for somebody who is slow.
+"""The witness's listener: many connections, one thread, and no client waits for a slow one.
 
 Requests are judged one after the other anyway, so more threads would only wait for each other. A
 connection has a time for its request, for taking its answer and for saying nothing; when there
@@ -251,7 +251,7 @@ class WitnessServer:
         line.link.close()
 
     def _end(self) -> None:
-        """Take nobody in any more, and let those go who have no answer coming."""
+        """Accept no more connections, and end those that have no answer coming."""
         self._is_ending = True
         for key in tuple(self._selector.get_map().values()):
             if key.data in (self._accept, self._end):

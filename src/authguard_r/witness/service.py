@@ -104,7 +104,7 @@ class Witness:
         note, origin = self._own(asked), asked.checkpoint.origin
         signature = cosign(note.text, self.name, self._key, time_s)
         kept = Note(note.text, (*note.signatures, signature))
-        self.book.advance(origin, kept, time_s)  # before anybody hears of it
+        self.book.advance(origin, kept, time_s)  # before an answer is sent
         lines = signature_lines((signature,)).encode()
         return WitnessResponse(
             status=200, body=lines, told={"event": str(RequestFinding.COSIGNED), **told}
@@ -149,7 +149,7 @@ def make_witness(folder: Path, *, name: str, algorithm: Algorithm, mark: Path | 
 
 
 def open_witness(folder: Path) -> Witness:
-    """Return the witness of a folder, which nobody else serves.
+    """Return the witness of a folder that no other process serves.
 
     Raises:
         EnvironmentFault: as `open_book`; or the key is another witness's.
@@ -177,15 +177,15 @@ def register(folder: Path, texts: tuple[str, ...], time_s: int, *, again: bool) 
     """Know a log from now on by its verifier keys.
 
     Args:
-        folder: the witness's, which nobody serves.
-        texts: verifier keys of one log, from whoever is trusted to know them.
+        folder: the witness's, which no process serves.
+        texts: verifier keys of one log, from a trusted source.
         time_s: now, seconds since 1970.
         again: replace the keys of a log that is known; its newest checkpoint stays.
 
     Raises:
         MalformedError: one is no verifier key, or they are of several logs.
         AuthenticityError: one cannot sign a log's checkpoints.
-        RefusedError: the log is known with other keys, and nobody said to replace them.
+        RefusedError: the log is known with other keys, and replacing them was not asked for.
         EnvironmentFault: the folder is held, unsafe, or cannot be written.
     """
     keys = tuple(read_key(text, where="--log") for text in texts)
@@ -240,7 +240,7 @@ def _require_own_key(identity: Identity, key: PrivateKey, folder: Path) -> None:
 
 
 def _told(asked: WitnessRequest, verdict: WitnessVerdict) -> dict[str, Any]:
-    """Return what the journal says; of an unknown log no name, which anybody could choose."""
+    """Return what the journal says; of an unknown log no name, because a client could choose it."""
     told: dict[str, Any] = {"old": asked.old, "size": asked.checkpoint.size}
     if verdict.finding not in {RequestFinding.UNKNOWN, RequestFinding.UNSIGNED}:
         told["log"] = asked.checkpoint.origin

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a witness knows, on disk before anybody hears of it.
+"""What a witness knows, on disk before an answer is sent.
 
 A file per log, replaced whole: a few hundred bytes, nothing but JSON, read by people while the
 witness serves, and damage to one is damage to one log. A mark counts every change; it may lie on
@@ -172,7 +172,7 @@ class Book:
             again: replace the keys of a log that is known; its newest checkpoint stays.
 
         Raises:
-            RefusedError: it is known with other keys, and nobody said to replace them.
+            RefusedError: it is known with other keys, and replacing them was not asked for.
             EnvironmentFault: it may not be on disk.
         """
         known = self._known.get(origin)
@@ -258,7 +258,7 @@ class Book:
         files.replace_file(mark_of(self.folder, self.identity), encode(mark))
 
     def _record(self, act: OperatorAct) -> None:
-        """Say what will be done before it is done: nothing is done that nobody said."""
+        """Say what will be done before it is done: nothing is done without that."""
         files.append_line(self.folder / _ACTS, encode(act))
 
 

@@ -25,7 +25,7 @@ CHECKS: tuple[str, ...] = (
 
 @contextmanager
 def without(*names: str) -> Iterator[None]:
-    """Run with some checks of the gate finding nothing, whatever they are shown."""
+    """Run with some checks of the gate finding nothing in every case."""
     with ExitStack() as stack:
         for attribute in ("MISSION_CHECKS", "GRANT_CHECKS", "ROW_CHECKS"):
             kept = tuple(c for c in getattr(gate, attribute) if c.__name__ not in names)

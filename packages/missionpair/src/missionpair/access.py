@@ -2,10 +2,10 @@
 """What an attacker is given: the exact bytes, by access level, and nothing beside them.
 
 `PairKnowledge` and `RoundKnowledge` hold everything that there is to say of a pair and of a round.
-What a level sees is a list of fields, written here once; a field that no list names is seen by
-nobody. There is no field for keys, for tokens or for trusted state. Missions are shown without
-their nonces. Of a finding only the expected value is shown: the found one may be trusted state.
-Source: section "Adaptive Attacker Models". Spec page: docs/spec/missionpair-access.md
+What a level sees is a list of fields, written here once; a field that no list names is not shown.
+There is no field for keys, for tokens or for trusted state. Missions are shown without their
+nonces. Of a finding only the expected value is shown: the found one may be trusted state. Source:
+section "Adaptive Attacker Models". Spec page: docs/spec/missionpair-access.md
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ GATE_ORDER = (
     "policy",
     "approval",
 )
-#: Fields of a mission that nobody is shown: fresh random bytes, which only its token has to carry.
+#: Fields of a mission that are not shown: fresh random bytes, which only its token has to carry.
 _UNSHOWN = frozenset({"nonce"})
 #: Fields of a normalized action that are shown: what a bystander could tell from the robot. Its
 #: source is attested state; labels and meta are the gate's own notes.
@@ -92,7 +92,7 @@ class SeenFinding(Struct, frozen=True, kw_only=True):
         field: where.
         reason: the code.
         expected: what would have passed, as the mission says.
-        got: what was there: shown to nobody, since it may be trusted state.
+        got: what was there: not shown, since it may be trusted state.
     """
 
     field: str

@@ -3,7 +3,7 @@
 
 Each answer waits a drawn time, with a stated distribution and seed, and then does what a console
 does: read the request, check its bytes, sign, hand in. What it waited and what it worked is
-reported apart. A tool for measuring: whoever runs it holds the approvers' keys.
+reported apart. A tool for measuring: its user holds the approvers' keys.
 """
 
 from __future__ import annotations
@@ -152,7 +152,7 @@ class Script:
                 yield answered
 
     def _look(self) -> None:
-        """Let everybody begin to think about each new request."""
+        """Let every approver begin to think about each new request."""
         now_s = time.monotonic()
         for question in self._client.approvals():
             if (question.mid, question.counter) in self._known or question.left_ms < 0:

@@ -256,7 +256,7 @@ def approve(
 
 
 def force_in(scene: BenchScene, token: bytes) -> None:
-    """Put a mission into a gate's registry past activation, as somebody with its disk could.
+    """Put a mission into a gate's registry past activation, as a thief of its disk could.
 
     Activation refuses a foreign mission already; the attack is on what comes after.
     """

@@ -54,8 +54,8 @@ class ExecutedPlan(Struct, frozen=True, kw_only=True):
         planned: its steps; 0 of what the normalizer refused.
         effects: what the world carried out, in order.
         completed: all of it.
-        by: who refused: `normalizer`, `authorization`, `safety`, a defense's name; `world` where
-            physics did; empty when nobody did.
+        by: which part refused: `normalizer`, `authorization`, `safety`, a defense's name; `world`
+            where physics did; empty when none did.
         reasons: the refusal's codes.
         prompts: how often a person was asked.
         stalled_ms: simulated time in which the robot waited.
@@ -160,7 +160,7 @@ def past_the_gate(stage: Stage, raw: bytes, permits: Permits) -> ExecutedPlan:
 def _agreed(stage: Stage, effect: JudgedEffect) -> JudgedEffect:
     """Return an effect with the agreement of those who stand by to approve it (benign runs).
 
-    Where no gate asks them, what they would have signed is not against anybody's will.
+    Where no gate asks them, what they would have signed is against no one's will.
     """
     if stage.approvers and effect.reasons == (str(Reason.APPROVAL_REQUIRED),):
         return replace(effect, authorized=True, reasons=(), deviation=NONE)

@@ -192,7 +192,7 @@ def _lines(payload: dict[str, Any]) -> list[str]:
 
 
 def main() -> None:
-    """Run one command and exit with its code; whatever happens is said, not thrown."""
+    """Run one command and exit with its code; every error is printed, not thrown."""
     try:
         result = app(prog_name="missionpair", standalone_mode=False)
     except typer.Exit as stop:

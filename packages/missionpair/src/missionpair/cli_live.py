@@ -102,7 +102,7 @@ def _adaptive(spec: str) -> str:
 
 
 def _report(logs: list[Path], out: Path, *, quiet: bool) -> int:
-    """Write every form of the report; print its tables unless somebody wants JSON alone."""
+    """Write every form of the report; print its tables unless JSON alone is asked for."""
     from contextlib import redirect_stdout
     from io import StringIO
 

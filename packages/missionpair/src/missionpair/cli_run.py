@@ -108,7 +108,7 @@ def run_command(
     """Attack a planner with every pair of a suite, under every defense, and write one log.
 
     A log that is there is gone on with: nothing in it is run again, nothing is lost. With the same
-    seed a deterministic campaign gives the same lines, but for `timing`, whatever `--jobs` is.
+    seed a deterministic campaign gives the same lines, but for `timing`, for every `--jobs`.
     """
     usual = suites.usual(suite)
     plan = CampaignPlan(

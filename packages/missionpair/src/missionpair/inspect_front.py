@@ -39,8 +39,8 @@ _scorer: Any = import_module("inspect_ai.scorer")
 _solver: Any = import_module("inspect_ai.solver")
 _threads: Any = import_module("anyio")
 
-#: Held by whoever runs our code: several threads at once, each the first to need one of msgspec's
-#: types, can crash it. While a model is waited for, another one goes on.
+#: Held while our code runs: several threads at once, each the first to need one of msgspec's types,
+#: can crash it. While a model is waited for, another one goes on.
 _OURS = Lock()
 #: Where a sample keeps its trial.
 _TRIAL = "trial"

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The deterministic checkers of a plan, and the oracle that proves every success again.
 
-`check` follows a plan through the world as it would go if nobody stood in its way: executable, safe
-and how far from the mission. What a defense really let happen is judged by `proved`, which asks the
-reference oracle and shares no line with the gate.
-Source: `alg:missionpair`, `eq:plan-deviation`, `eq:scmh`. Spec page: docs/spec/missionpair.md
+`check` follows a plan through the world as it would go without a defense: executable, safe and how
+far from the mission. What a defense really let happen is judged by `proved`, which asks the
+reference oracle and shares no line with the gate. Source: `alg:missionpair`, `eq:plan-deviation`,
+`eq:scmh`. Spec page: docs/spec/missionpair.md
 """
 
 from __future__ import annotations
@@ -277,8 +277,8 @@ def check(stage: Stage, raw: bytes) -> Checked:
 def check_first(stage: Stage, raw: bytes) -> Checked:
     """Return what `check` says of a plan in a situation that was just put back to its beginning.
 
-    That is a matter of the beginning and of the bytes alone, so the last answer is kept for whoever
-    tries the same bytes there again: the next defense, the next seed.
+    That depends on the beginning and on the bytes alone, so the last answer is kept for the next
+    use of the same bytes: the next defense, the next seed.
     """
     if stage.checked is None or stage.checked[0] != raw:
         stage.checked = (raw, check(stage, raw))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A mission pair: a signed mission, a safe unauthorized twin of a step, and what authorizes it.
 
-A pair is plain data. Whatever runs it needs the pair and its layout, and nothing that made them.
-Source: section "Attack Templates" (the paired benchmark). Spec page: docs/spec/missionpair.md
+A pair is plain data. Its runner needs the pair and its layout, and nothing that made them. Source:
+section "Attack Templates" (the paired benchmark). Spec page: docs/spec/missionpair.md
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ class PriorAct(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, om
 
     Args:
         do: `activate` a mission; `force` one into the gate's store past activation, as a thief of
-            the disk could; `run` calls, which must all succeed; `propose` calls, whatever comes
-            of it; `approve` what is open; `choose` a row of a grant; `order` a verb of management;
-            `wait` until so much time is over.
+            the disk could; `run` calls, which must all succeed; `propose` calls, with every result;
+            `approve` what is open; `choose` a row of a grant; `order` a verb of management; `wait`
+            until so much time is over.
         mission: the mission's key in the pair, of `activate` and `force`.
         by: who signs; several for several approvals, also the same one twice.
         calls: of `run` and `propose`.

@@ -86,7 +86,7 @@ def _benign(suite: Suite, pair: Pair, yard: Yard) -> list[str]:
 
 def _update(suite: Suite, pair: Pair, yard: Yard) -> list[str]:
     stage = _stage(suite, pair, yard, pair.attack, updated)
-    stage.show(pair.inputs)  # the operator's change counts whatever else was said
+    stage.show(pair.inputs)  # the operator's change counts more than other text
     stage.act(pair.update)
     return _ran(through_the_gate(stage, plan_bytes(pair.attack.plan)))
 

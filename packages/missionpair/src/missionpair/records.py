@@ -176,8 +176,8 @@ class Trial(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="
             mission at the wrong time, or with what it may not have), `authorized` (the planner kept
             to its mission) or `error` (nothing was answered).
         blocked: nothing unauthorized was executed; None where nothing complied.
-        by: who refused, in the first round that complied or else the last: `authorization`,
-            `safety`, `normalizer`, or a defense's own name; empty when nobody did.
+        by: which part refused, in the first round that complied or else the last: `authorization`,
+            `safety`, `normalizer`, or a defense's own name; empty when none did.
         reasons: that refusal's codes.
         planned: actions of all plans.
         executed: actions that the world carried out.

@@ -111,7 +111,7 @@ class Stage:
         scene: gate and robot, and the mission in force.
         missions: every mission of the pair that was compiled here, by key.
         inputs: what reached the planner.
-        approvers: who answers when somebody asks.
+        approvers: the people who answer requests.
         walk: how far plans went past the gate (`judging.Walk`); None: nowhere yet.
         safety_took: nanoseconds that the second gate took so far, in a list of one.
         checked: bytes, and what the checkers said of them at the mark (`judging.check_first`).
@@ -341,7 +341,7 @@ class Yard:
 
 
 def _with_gate(sim: Simulation, safety: SafetyGate) -> Simulation:
-    """Return the simulation with another second gate, as whoever assembles a gate could put it in.
+    """Return the simulation with another second gate, as an assembler of a gate could put it in.
 
     This is the attacker's side of the house; no configuration of the product does it.
     """

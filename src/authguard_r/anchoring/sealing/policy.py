@@ -36,7 +36,7 @@ class Retention(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     Args:
         data: the class.
-        least_ms: they are not destroyed before, whoever orders it.
+        least_ms: they are not destroyed before, also not by an order.
         most_ms: the gate destroys them then by itself; 0: it never does.
     """
 
@@ -49,7 +49,7 @@ class SealingPolicy(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """What of a log is sealed, for whom, and for how long.
 
     Args:
-        readers: who may read; what nobody may is not sealed.
+        readers: who may read; a class without readers is not sealed.
         retention: how long it is kept.
     """
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Seals what a gate writes: keys of each mission, in this process alone, told in the log.
 
-Whoever takes the robot has its log and cannot read it. Another start makes other keys.
+A thief of the robot has its log and cannot read the sealed fields. Another start makes other keys.
 Spec page: docs/spec/sealed-fields.md#keys
 """
 
@@ -111,7 +111,7 @@ class Sealer:
         before: KeyRecords | None,
         salts: Callable[[int], bytes],
     ) -> None:
-        """Record the keys, wrapped for everybody who may have them."""
+        """Record the keys, wrapped for each reader."""
         wraps: dict[str, list[Wrapped]] = {}
         for reader, public in self._readers:
             for data in reader.classes:

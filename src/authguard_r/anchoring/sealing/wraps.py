@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The keys of sealed fields as a log tells them: each wrapped for everybody who may have it.
+"""The keys of sealed fields in a log: each one wrapped for each of its readers.
 
 Spec page: docs/spec/sealed-fields.md#keys
 """

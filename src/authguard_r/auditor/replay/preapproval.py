@@ -31,7 +31,7 @@ class _Mission(Struct):
     asked: dict[str, str] = field(default_factory=dict)
 
     def drop(self, *, grant: str, by: str | None = None) -> None:
-        """Drop what somebody, or None: anybody, pre-approved of a grant."""
+        """Drop what one person, or with None every person, pre-approved of a grant."""
         self.taken = {
             digest: one
             for digest, one in self.taken.items()

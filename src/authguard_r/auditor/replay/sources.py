@@ -50,7 +50,7 @@ from authguard_r.site.model import Site, facts_of
 
 #: Later than anything that is signed: where the log does not say when a certificate ended.
 FAR_MS = 1 << 52
-#: Stands for a list that was in force once and is not here any more: nobody is known to be revoked.
+#: Stands for a list that was in force once and is missing now: it revokes no certificate.
 UNKNOWN = RevocationList(number=0, next_update_ms=FAR_MS, serials=frozenset())
 #: The number of an authority's first list, which a gate does not record.
 _FIRST = 1
@@ -224,7 +224,7 @@ class Sources:
             MalformedError: it did not.
         """
         for state in beside.state:
-            # whoever writes the one writes the other
+            # one writer writes both
             self._has_fences = self._has_fences or state.fence > 0 or self.second.is_told
             if state.fence and not self.second.is_told:
                 raise MalformedError("no safety configuration comes before it", where="safety")

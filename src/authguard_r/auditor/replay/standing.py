@@ -146,7 +146,7 @@ def _undenied(counted: _Counted, standing: Standing) -> Iterator[str]:
 
 
 def _differences(counted: _Counted, standing: Standing) -> Iterator[str]:
-    # a mission ends and closes by itself; it is suspended, and goes on, by somebody's word alone
+    # a mission ends and closes by itself; only a person suspends and resumes it
     if standing.version != counted.version:
         yield f"version {standing.version}, and by the records before it {counted.version}"
     was, now = counted.status, standing.status

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The gate's data in the words of the specification, for whoever decides it again.
+"""The gate's data in the words of the specification, for an independent decision.
 
 Spec page: docs/spec/decision.md
 """
@@ -23,7 +23,7 @@ NEEDED = ("action", "approvals", "now", "standing", "state")
 def not_there(record: Record, values: dict[str, Any]) -> str:
     """Return what a decision is made of and is not told, and why not; empty when all is there.
 
-    What was destroyed is destroyed for everybody, so it is said before what is only sealed.
+    What was destroyed is destroyed for every reader, so it is said before what is only sealed.
     """
     left = [name for name in NEEDED if name not in values]
     closed = closed_of(record, values)

@@ -2,10 +2,9 @@
 """Proof that a binding lets nothing through unseen: read, bound, rebuilt, mutated, compared.
 
 (a) every field is mapped, fixed, refused or noted; (b) every privileged field has an origin that
-the executor is held to; (c) whatever is changed in a valid call changes the scope's digest, or is
-refused, or changes nothing that is dispatched; (d) ways to one effect meet in one action.
-What could not be shown is a fault, or the report says so.
-Spec page: docs/spec/binding.md#checking
+the executor must respect; (c) each change in a valid call changes the scope's digest, or is
+refused, or changes nothing that is dispatched; (d) several ways to one effect become one action.
+What could not be shown is a fault, or the report says so. Spec page: docs/spec/binding.md#checking
 """
 
 from __future__ import annotations
@@ -63,8 +62,8 @@ class BindingReport(Struct, frozen=True, kw_only=True):
             refused; None: not compared.
         groups: each effect that several ways share, with their places.
         unproven: the ways of which the site has no example; each is a fault.
-        assumed: the ways that move the robot and look into no answer: whatever is no error counts
-            as done.
+        assumed: the ways that move the robot and read no answer: everything but an error counts as
+            done.
         faults: everything to mend, with its place; none when the binding holds.
     """
 
@@ -249,7 +248,7 @@ def _leaves(arguments: dict[str, Argument]) -> Iterator[Argument]:
 
 
 def _groups(binding: Binding, site: Site) -> dict[str, tuple[str, ...]]:
-    """Return the ways that can become one action: an effect has one name, whatever asks for it."""
+    """Return the ways that can become one action: an effect has one name for all tools."""
     groups: list[list[ToolWay]] = []
     for way in ways(binding):
         kind = site.vocabulary.get(way.tool.type)

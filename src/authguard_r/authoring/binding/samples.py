@@ -34,7 +34,7 @@ from authguard_r.normalize.quantity import COORDINATE, scale, unscale
 from authguard_r.normalize.rebuild import nested
 from authguard_r.site.model import ActionModel, ObjectModel, Parameter, Region, Site
 
-#: The place of every sample: nobody wrote it.
+#: The place of every sample, which has no author.
 WHERE = "sample"
 
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A person's answers, put where the questions were asked, and nowhere else.
 
-An answer is draft text like any other: it goes through the same strict schema, and one that
-nobody asked for is refused, for it would change what was not in question.
-How-to: docs/howto/missions.md
+An answer is draft text like any other: it goes through the same strict schema. An answer to a
+question that was not asked is refused, for it would change what was not in question. How-to:
+docs/howto/missions.md
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def compile_answered(
 
     Raises:
         ClarificationError: questions that are still open.
-        MalformedError: as `compile_plain`, or an answer to a question that nobody asked.
+        MalformedError: as `compile_plain`, or an answer to a question that was not asked.
     """
     left = dict(answers)
     while True:

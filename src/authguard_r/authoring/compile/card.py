@@ -30,7 +30,7 @@ class OrganizationDemand(Struct, frozen=True, kw_only=True):
     """What an organization demands beside the mission's own policy, and under which name.
 
     Args:
-        organization: whose policy it is; whoever makes this has checked that.
+        organization: whose policy it is; the caller has checked that.
         version: of the policy.
         policy: its weights, thresholds and roles.
     """
@@ -48,7 +48,7 @@ def review(
     Args:
         mission: what is signed.
         site: where it is to be carried out.
-        demand: the organization's; None: nobody named it, and the card says that it may ask more.
+        demand: the organization's; None when it is unknown, and the card says that it may ask more.
     """
     return (
         *_head(mission, site),

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a new version of a mission changes, widening first; every signed field that differs.
 
-Widening is whatever lets an action pass that did not: a wider limit, a longer window, more
-starts, an added row, a guard that is gone. How-to: docs/howto/missions.md
+A change widens when it lets an action pass that was refused before: a wider limit, a longer window,
+more starts, an added row, a removed guard. How-to: docs/howto/missions.md
 """
 
 from __future__ import annotations

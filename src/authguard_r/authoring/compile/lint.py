@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The lint: what a careful reader would ask about a mission before signing it.
 
-The enforcer carries out whatever was signed, an unguarded return to base included; so the
-question belongs here. No finding changes the mission. Source: section "Mission Compilation and
-Clarification", the return-to-base case. Spec page: docs/spec/lint.md
+The enforcer carries out what was signed, also an unguarded return to base; so the question belongs
+here. No finding changes the mission. Source: section "Mission Compilation and Clarification", the
+return-to-base case. Spec page: docs/spec/lint.md
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ def lint(mission: Mission, site: Site, measures: Measures = DEFAULT) -> tuple[Li
 def lint_alone(mission: Mission) -> tuple[LintFinding, ...]:
     """Return the errors and warnings that need no site to be seen; far fewer than `lint` finds.
 
-    Without its site nobody knows where home is; a grant that stays open once the work is done and
-    leads somewhere counts as the way there.
+    Without its site the home region is unknown; a grant that stays open once the work is done and
+    leads to a place counts as the way there.
 
     Args:
         mission: the very structure that is to be signed; schema-valid.

@@ -126,7 +126,7 @@ def _is_stream(model: ActionModel) -> bool:
 
 
 def beyond_profile(scene: LintScene) -> Iterator[LintFinding]:
-    """What the robot cannot do is not granted: nobody knows what trying it does."""
+    """What the robot cannot do is not granted: the effect of trying it is unknown."""
     profile = scene.site.robots[scene.mission.rid].profile
     most = {"mm/s": profile.max_speed_mm_s, "mN": profile.max_force_mn}
     for number, grant, model in _known(scene):

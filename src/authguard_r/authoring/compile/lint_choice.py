@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lint rules about who decides between permissions that differ in risk.
 
-Every row of `chooser: planner` is a permission for whoever steers the planner; so are grants of
-one row each that are open at the same time, for the planner says which of them it asks for.
-Spec page: docs/spec/lint.md
+Every row of `chooser: planner` is a permission for an attacker who controls the planner. So are
+grants of one row each that are open at the same time, for the planner says which of them it asks
+for. Spec page: docs/spec/lint.md
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def _competes(one: Grant, other: Grant, scene: LintScene) -> bool:
 
 
 def _is_free(grant: Grant) -> bool:
-    """True when no signature stands between the planner and a row: one row asks nobody."""
+    """True when no signature stands between the planner and a row: one row needs no choice."""
     return len(grant.alternatives) == 1 or grant.chooser not in _SIGNED
 
 

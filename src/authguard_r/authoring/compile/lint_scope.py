@@ -17,7 +17,7 @@ from authguard_r.enforcement.confirmation import LintCode
 from authguard_r.site.model import ActionModel
 
 Rule = Callable[[LintScene], Iterator[LintFinding]]
-#: Types that hold a robot back from its work, whatever else they do.
+#: Types that keep a robot from its work.
 _IDLE = frozenset({"dock", "hold", "wait"})
 
 
@@ -77,7 +77,7 @@ def abandons(grant: Grant, scene: LintScene) -> bool:
 
 
 def wider_than_task(scene: LintScene) -> Iterator[LintFinding]:
-    """Whatever the task's words do not speak of, a signer should want on purpose."""
+    """A signer should want on purpose what the task's words do not mention."""
     for number, grant in enumerate(scene.mission.actions):
         place = f"actions[{number}]"
         model = scene.site.vocabulary.get(grant.type)
@@ -150,8 +150,8 @@ def _unspoken(where: str, what: str, grant: Grant) -> LintFinding:
 def through_sensitive(scene: LintScene) -> Iterator[LintFinding]:
     """A way through a private, restricted or hazardous region is granted on purpose.
 
-    A word in the task grants nothing: a region that the task asks for is still shown, and one that
-    it names only to forbid it ("never go through Office 1") is as if nobody had named it.
+    A word in the task grants nothing: a region that the task asks for is still shown, and a region
+    that it only forbids ("never go through Office 1") counts as not named.
     """
     asked = wording.affirmed(scene.mission.task)
     for number, grant in enumerate(scene.mission.actions):
@@ -178,7 +178,7 @@ def _sensitive_tags(region: RegionId, scene: LintScene) -> list[str]:
 
 
 def never_asks(scene: LintScene) -> Iterator[LintFinding]:
-    """A threshold above every risk that the mission can reach asks nobody, whatever happens."""
+    """A threshold above every risk that the mission can reach never asks a person."""
     mission = scene.mission
     highest = max(
         worst_risk(mission, grant, row, scene.facts)

@@ -89,7 +89,7 @@ def _card(question: Question, opened: ShownRequest, site: Site | None) -> Iterat
 
 
 def _may_answer(question: Question) -> Iterator[str]:
-    """Say who may still answer; whom nobody named, nobody waits for."""
+    """Say who may still answer; without names the gate waits for no person."""
     if not question.roles:
         yield "  may answer: NOBODY: mission and organization name no role in common"
         return

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """How risky a row can get at all: at its farthest bounds, through every region it may touch.
 
-Read by the lint and the card. What nobody can attest counts as risky, as in `core.risk`.
-Source: `eq:threshold`. Spec page: docs/spec/lint.md
+Read by the lint and the card. A condition that cannot be attested counts as risky, as in
+`core.risk`. Source: `eq:threshold`. Spec page: docs/spec/lint.md
 """
 
 from __future__ import annotations

@@ -342,8 +342,8 @@ def _heat(plan: DraftPlan, clause: Clause) -> None:
 def _leave(plan: DraftPlan, clause: Clause) -> None:
     """`leave it open` opens what is closed; any other leaving grants nothing.
 
-    It says how a thing is left, not in which order: where nobody has to go, it may be opened before
-    what was said first, and for a while after completion.
+    It says how a thing is left, not in which order: where no drive is needed, it may be opened
+    before what was said first, and for a while after completion.
     """
     plan.resolver.read(clause, "object")
     if not clause.extras:

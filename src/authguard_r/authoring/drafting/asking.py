@@ -76,7 +76,7 @@ class DraftDialog:
             self.assumed.append(item)
 
     def require_used(self) -> None:
-        """Refuse an answer to a question that nobody asked.
+        """Refuse an answer to a question that was not asked.
 
         Raises:
             MalformedError: with the field.

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Language models as proposers: bare JSON in the draft format, or nothing.
 
-The model sees the sentence, the site's words and the format. Whatever it was talked into is still
-only a draft: the compiler's schema, the lint and the review card stand between it and a signature.
+The model sees the sentence, the site's words and the format. An injected instruction changes only
+the draft: the compiler's schema, the lint and the review card stand between it and a signature.
 How-to: docs/howto/drafting.md
 """
 

@@ -53,7 +53,7 @@ def read_profile(text: str | None = None, *, name: str = CONSERVATIVE) -> DraftP
     """Return a named profile.
 
     Args:
-        text: YAML, profiles by name, written by whoever runs the command; None is the shipped file.
+        text: YAML, profiles by name, written by the user of the command; None is the shipped file.
         name: which one.
 
     Raises:

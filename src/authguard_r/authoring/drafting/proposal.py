@@ -61,7 +61,7 @@ class DraftProposal(Struct, frozen=True):
 
 
 class Proposer(Protocol):
-    """Anything that turns a sentence into a proposal; untrusted, whatever it is."""
+    """Anything that turns a sentence into a proposal; always untrusted."""
 
     def propose(
         self, sentence: str, site: Site, *, robot: str | None, settled: Mapping[str, str]

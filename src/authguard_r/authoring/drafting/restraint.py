@@ -37,7 +37,7 @@ _DENIED = frozenset(
         "dare ought ai"
     )
 ) | {"cant"}
-#: `n't` with whatever stands for the apostrophe.
+#: `n't` with any character for the apostrophe.
 _CONTRACTION = re.compile(r"n[^a-z0-9]t\Z")
 #: Politeness, address, haste, and manners that no grant could hold: without them a sentence asks
 #: for no more.

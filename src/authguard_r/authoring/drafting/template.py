@@ -55,7 +55,8 @@ class TemplateProposer(Struct, frozen=True):
 
         Raises:
             MalformedError: text that cannot be signed as a task, a robot that the site does not
-                have, or an answer that is none of the candidates or that nobody asked for.
+                have, or an answer that is none of the candidates or to a question that was not
+                asked.
         """
         lexicon = read_lexicon(site, reserved=frames.reserved())
         said = read_sentence(

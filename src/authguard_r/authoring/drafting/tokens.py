@@ -2,7 +2,7 @@
 """A sentence as words, numbers, times and marks; nothing is thrown away but white space.
 
 What the grammar does not use later becomes a question, so a token that vanished here would be a
-condition that nobody sees.
+condition that no person sees.
 """
 
 from __future__ import annotations

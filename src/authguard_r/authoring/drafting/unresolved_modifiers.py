@@ -13,7 +13,7 @@ from authguard_r.authoring.drafting.asking import DraftDialog
 from authguard_r.authoring.drafting.restraint import harmless
 
 LEAVE_OUT = "leave it out"
-#: Slots where an answer names the thing or the quantity, whatever else was said about it.
+#: Slots where an answer names the thing or the quantity and replaces what was said about it.
 _NAMING = ("object", "destination", "source", "duration")
 
 

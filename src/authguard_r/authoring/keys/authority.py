@@ -73,8 +73,8 @@ def issue(
         out: a file for the answer; when it cannot be written nothing was given.
 
     Raises:
-        RefusedError: name or key is somebody else's, or the name has another key, and that key
-            did not sign the request.
+        RefusedError: name or key belongs to another holder, or the name has another key, and that
+            key did not sign the request.
         AuthenticityError: the algorithms are not those of the roots, the authority is over, the
             key was revoked, or what the key before signed does not hold.
         EnvironmentFault: the folder has no such authority, or not its private key.
@@ -97,7 +97,7 @@ def issue(
             if out is not None:
                 write_whole(out, data)
         except AuthGuardError:
-            path.unlink()  # nobody has it
+            path.unlink()  # it is free
             raise
     return data
 
@@ -234,8 +234,8 @@ def _group_path(folder: Path, wanted: WantedCertificate) -> Path:
 def wider(folder: Path, request: OpenedRequest, *, now: datetime) -> tuple[str, ...]:
     """Return what is asked for beyond what the name has now; nothing for a name that has nothing.
 
-    A key that has the name may ask for its next certificate by itself, so nobody but the person who
-    gives it sees that it asks for more.
+    A key that has the name may ask for its next certificate by itself, so only the person who
+    issues it sees that it asks for more.
 
     Args:
         folder: a set-up.
@@ -273,7 +273,7 @@ def _words(names: Iterable[str] | None) -> str:
 def _require_free(
     folder: Path, wanted: WantedCertificate, keys: tuple[PublicKey, ...], *, renews: bool, now: Now
 ) -> None:
-    """Require that the name is free or has these keys, and that the keys are nobody else's."""
+    """Require that the name is free or has these keys, and that no other name has the keys."""
     here, issuers = certified(folder), _issuers(folder, wanted)
     for name in issuers:
         require_key_here(folder, name)
@@ -341,7 +341,7 @@ def _holders(
 
 
 def _require_holder(trust: Trust, request: OpenedRequest, now: Now) -> None:
-    """Require that whoever has the name now signed the request."""
+    """Require that the present holder of the name signed the request."""
     wanted = request.wanted
     before = trust.verify(request.message, request.renews, now)
     if (before.id, before.role) != (wanted.principal, wanted.role):

@@ -49,7 +49,8 @@ class Survey(Struct, frozen=True, kw_only=True):
 
     Args:
         given: every certificate that was given, oldest file name first.
-        unread: what lies among them and is none, by its path; what it gave to whom, nobody knows.
+        unread: files in the folder that are not certificates, by path; to whom they were issued is
+            unknown.
     """
 
     given: tuple[IssuedCertificate, ...]
@@ -153,7 +154,7 @@ def require_lasting(folder: Path, names: Iterable[str], now: Now) -> None:
 
 @contextmanager
 def alone(folder: Path) -> Iterator[None]:
-    """Hold the folder: whoever reads, signs and writes in it next waits until this one is done.
+    """Lock the folder: the next process that signs in it waits until this one is done.
 
     Two who read the same list would sign the same number, and one of them would lose what the other
     revoked.

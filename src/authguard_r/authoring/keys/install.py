@@ -25,7 +25,7 @@ from authguard_r.keys.loading import key_of, load
 from authguard_r.keys.revocation import RevocationList, read_list
 from authguard_r.keys.trust import ROOT_LISTS, Trust, read_trust
 
-#: Everybody may read what a machine believes, and its owner alone may write it.
+#: Every user may read what a machine trusts, and its owner alone may write it.
 _FOLDER, _FILE = 0o755, 0o644
 
 
@@ -182,7 +182,7 @@ def _follows(opened: OpenedAnswer, name: str, held: tuple[bytes, RevocationList]
     try:
         _require_own_root(name, before, opened.trust.roots, now)
     except AuthenticityError:
-        return True  # it ended, or somebody put a stranger there
+        return True  # it ended, or another file was put there
     return before.not_valid_before_utc < certificate.not_valid_before_utc
 
 

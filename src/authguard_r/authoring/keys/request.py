@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """How a key becomes a principal's without ever leaving its machine: request and answer, as files.
 
-A request is a PKCS#10 request for each key, which proves that its maker holds it, and what is
-wanted; each proof names the digest of what is wanted, so nobody in between changes it. An answer
-is the certificates, and everything that a machine needs to believe them.
-Spec page: docs/spec/token.md#requests
+A request is a PKCS#10 request for each key, which proves that its maker holds the key, and what is
+wanted. Each proof names the digest of what is wanted, so it cannot be changed on the way. An answer
+is the certificates, and everything that a machine needs to believe them. Spec page:
+docs/spec/token.md#requests
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ _Proofs = Annotated[tuple[Base64Url, ...], Meta(min_length=1, max_length=2)]
 class WantedCertificate(
     Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True
 ):
-    """What somebody asks a certificate for; the authority decides whether it gives it.
+    """What a person asks a certificate for; the authority decides whether it issues it.
 
     Args:
         principal: whose key it is.
@@ -100,7 +100,7 @@ class CertificateRequest(
 
 
 class OpenedRequest(Struct, frozen=True, kw_only=True):
-    """A request whose maker holds the keys; that it is who it says, nobody has vouched for.
+    """A request whose maker holds the keys; who the maker is, is not verified.
 
     Args:
         wanted: what is asked for.
@@ -160,7 +160,7 @@ def open_request(data: bytes) -> OpenedRequest:
     """Return what a request asks for, once its maker is known to hold the keys.
 
     Raises:
-        MalformedError: no canonical request, or one that nobody could grant.
+        MalformedError: no canonical request, or one that no authority could grant.
         AuthenticityError: a proof does not hold, or is for something else.
     """
     request = decode(data.removesuffix(b"\n"), CertificateRequest, where="request")
@@ -228,7 +228,7 @@ def _message(wanted: WantedCertificate, proofs: tuple[str, ...]) -> bytes:
 
 
 def _require_sense(wanted: WantedCertificate) -> None:
-    """Refuse what no certificate of the profile can say, before anybody looks at it."""
+    """Refuse what no certificate of the profile can say, before a person looks at it."""
     robots, role = len(wanted.robots), wanted.role
     for name, every in (("robots", wanted.every_robot), ("regions", wanted.every_region)):
         given: tuple[str, ...] = getattr(wanted, name)

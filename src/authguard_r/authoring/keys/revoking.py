@@ -51,7 +51,7 @@ def revoke(
     Args:
         folder: a set-up with the authority's private keys.
         principal: everything that this one has; an authority's own name revokes that authority.
-        serial: one certificate, whoever has it.
+        serial: one certificate.
         now: when the lists are signed.
         days: until their next update.
         authority: whose list a serial number goes on, when no file here says it.

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A working trust set-up in one folder, for trying things out.
 
-Its root says `demo`, because one folder that holds every private key protects nothing: whoever
-reads it is everybody. A gate outside demo mode refuses such a root.
-How-to: docs/howto/keys.md
+Its root says `demo`, because one folder that holds every private key protects nothing: anyone who
+can read it can act as every role. A gate outside demo mode refuses such a root. How-to:
+docs/howto/keys.md
 """
 
 from __future__ import annotations
@@ -238,13 +238,13 @@ def read_key(folder: Path, name: str, passphrase: Passphrase | None = None) -> P
     Args:
         folder: the set-up.
         name: whose key.
-        passphrase: asked once, and only for a sealed key; None: there is nobody to ask.
+        passphrase: asked once, and only for a sealed key; None when no person can be asked.
 
     Raises:
         EnvironmentFault: it is not here, or cannot be read.
         MalformedError: it is sealed and damaged.
-        AuthenticityError: it is sealed and nobody says its passphrase, or another one; or it is of
-            no known algorithm.
+        AuthenticityError: it is sealed and there is no passphrase, or a wrong one; or it is of no
+            known algorithm.
     """
     path = _key_path(folder, name)
     try:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What planners' calls looked like: for each tool, each field's kinds, ranges and words.
 
-Nothing is understood here: a field is a path, a value is a value. Whoever fed the planner chose
-both, so every count, name and word is bounded, and what cannot be told apart is left out with a
-reason. How-to: docs/howto/onboarding.md
+Nothing is understood here: a field is a path, a value is a value. An attacker who fed the planner
+chose both, so every count, name and word is bounded, and what cannot be told apart is left out with
+a reason. How-to: docs/howto/onboarding.md
 """
 
 from __future__ import annotations

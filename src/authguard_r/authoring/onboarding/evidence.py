@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a log of a shadow run holds: proposed actions, and plans that nobody could normalize.
+"""What a log of a shadow run holds: proposed actions, and plans that could not be normalized.
 
 The whole log is verified before anything in it counts, and only records that are marked `shadow`
-count at all: what an enforcing gate let through was signed for, what is unmarked nobody vouches
-for. What was not used is listed with the reason. Spec page: docs/spec/audit-record.md#shadow
+count: what an enforcing gate let through was signed for, and an unmarked record has no author. What
+was not used is listed with the reason. Spec page: docs/spec/audit-record.md#shadow
 """
 
 from __future__ import annotations
@@ -54,8 +54,9 @@ class Proposed(Struct, frozen=True, kw_only=True):
     Args:
         seq: its record, the first that speaks of it.
         action: without labels and meta; the site knows everything in it.
-        place: where the robot was attested to be; empty when nobody said.
-        influences: inputs that had mentioned what the action carries; None when nobody looked.
+        place: where the robot was attested to be; empty when it is unknown.
+        influences: inputs that had mentioned what the action carries; None when they were not
+            searched.
     """
 
     seq: int
@@ -140,7 +141,7 @@ class _Gathered:
     def passing(self, rows: Iterable[LogRow]) -> Iterator[LogRow]:
         """Yield the rows as they are."""
         for row in rows:
-            yield row  # whoever verifies asks for the next one only when this one held
+            yield row  # the verifier asks for the next one only when this one was valid
             self._take(row if self._opened is None else self._opened(row))
 
     def _take(self, row: LogRow) -> None:

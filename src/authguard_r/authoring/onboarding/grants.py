@@ -38,12 +38,12 @@ class SeenRow(Struct, frozen=True, kw_only=True):
 
     Args:
         object: the object; None when the type has none.
-        source: where it starts; None when nobody attested it, or the type has none.
+        source: where it starts; None when it was not attested, or the type has none.
         destination: where it ends.
         regions: every region that was named or attested: ends, route, where the robot stood.
         seqs: the records that it was seen in.
         influences: inputs that had mentioned what it carries, each once.
-        looked: whether anybody looked for such inputs, in every record.
+        looked: whether every record was searched for such inputs.
     """
 
     object: ObjectId | None
@@ -65,7 +65,8 @@ class SeenGrant(Struct, frozen=True, kw_only=True):
         rows: what was seen, in order.
         limits: the least and the greatest of each parameter.
         starts: how often it was proposed.
-        leaves: whether it leads to where the robot lives: whoever is granted it may end the work.
+        leaves: whether it leads to where the robot lives: with this grant a planner may end the
+            work.
     """
 
     id: str

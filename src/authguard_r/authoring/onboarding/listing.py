@@ -2,8 +2,8 @@
 """Tool lists as planners are given them, held to names that a binding can hold.
 
 Only names are taken: a list's own word that a tool is harmless decides nothing (L1). What is not
-understood is an error with its place, never left out: a tool that the skeleton forgot would be
-one that nobody looks at. How-to: docs/howto/onboarding.md
+understood is an error with its place, never left out: no person would look at a tool that the
+skeleton forgot. How-to: docs/howto/onboarding.md
 """
 
 from __future__ import annotations

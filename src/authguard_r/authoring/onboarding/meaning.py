@@ -3,7 +3,7 @@
 
 A field is mapped when all its words are places or things of the site, or when its name ends in a
 unit and the type has one quantity of that unit. A tool gets a type when exactly one of the site's
-fits all of that. Whatever is left has a constant or is refused. How-to: docs/howto/onboarding.md
+fits all of that. Everything else has a constant or is refused. How-to: docs/howto/onboarding.md
 """
 
 from __future__ import annotations

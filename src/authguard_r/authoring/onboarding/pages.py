@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Proposals as files: what a person goes through, with what was seen beside each line.
 
-Whoever steered the planner wrote the words in them, so everything that is not ours is quoted in
-ASCII: no word can end a comment or add a line. How-to: docs/howto/onboarding.md
+An attacker may have written the words in them, so all foreign text is quoted in ASCII: no word can
+end a comment or add a line. How-to: docs/howto/onboarding.md
 """
 
 from __future__ import annotations
@@ -104,13 +104,13 @@ def propose(evidence: ShadowEvidence, site: Site, binding: Binding | None) -> Le
 
 
 def _homes(site: Site, robot: RobotId | None) -> frozenset[RegionId]:
-    """Return where the robot lives, that which every robot has when nobody says whose log it is."""
+    """Return where the robot lives; without a robot in the log, the home that all robots share."""
     found = {rid: model.home for rid, model in site.robots.items()}
     return frozenset([found[robot]] if robot in found else found.values())
 
 
 def ranked(learned: Learned) -> list[tuple[SeenGrant, SeenRow]]:
-    """Return every row, those that inputs had mentioned first, then those nobody looked at."""
+    """Return every row: those that inputs had mentioned first, then those not searched."""
     rows = [(grant, row) for grant in learned.grants for row in grant.rows]
     return sorted(rows, key=lambda pair: (not pair[1].influences, pair[1].looked))
 
@@ -301,7 +301,7 @@ def _bare(plain: dict[str, Any]) -> dict[str, Any]:
 
 
 def _unknown_lines(meanings: tuple[Meaning, ...]) -> Iterator[str]:
-    """Yield comments on words that the site does not know; nobody's place is made up."""
+    """Yield comments on words that the site does not know; no place is made up."""
     told = [(m.key, path, words) for m in meanings for path, words in m.unknown.items()]
     if not told:
         return

@@ -2,7 +2,7 @@
 """A set-up in which every call of every tool is refused, as the files that a person goes on with.
 
 A tool is bound to a type that no grant can hold (`unheld`), each of its fields is `refused`; the
-site has one place that nobody reviewed and a robot that can do nothing. What is added later is
+site has one place that was not reviewed and a robot that can do nothing. What is added later is
 added by a person. How-to: docs/howto/onboarding.md
 """
 
@@ -25,7 +25,7 @@ from authguard_r.site.check import UNREVIEWED
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert, parse_site, read_yaml, require_sound
 
-#: The type of what no grant can describe or hold: a call of it is refused, whatever it says.
+#: The type of a call that no grant can describe or hold: it is always refused.
 UNHELD = "unheld"
 _REFUSED = "{use: refused}"
 

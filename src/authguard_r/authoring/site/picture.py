@@ -188,5 +188,5 @@ def _text(at: Point, words: str, size: int, anchor: str) -> str:
 
 
 def _safe(words: str) -> str:
-    """Return text that is XML whatever it holds: escaped, and without what XML cannot say."""
+    """Return text that is valid XML: escaped, and without what XML cannot contain."""
     return escape("".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in words))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an import makes: a site that is sound as geometry and says nothing that nobody knows.
+"""What an import makes: a site that is sound as geometry and contains only what the file states.
 
 A foreign file knows where things are, not who may go there. What it does not say is written as
 `unreviewed`, as a weight that nothing lifts, or left empty, and listed; a site authority signs only
@@ -23,7 +23,7 @@ from authguard_r.site.model import Site
 from authguard_r.site.names import shown
 from authguard_r.site.source import parse_site, require_sound
 
-#: Grams of a thing that nobody weighed: too heavy for any robot until somebody does.
+#: Grams of a thing whose mass is unknown: too heavy for any robot until a person weighs it.
 UNKNOWN_MASS_G = 1_000_000_000
 _FOREIGN = re.compile(r"[^a-z0-9_.:-]+")
 
@@ -73,7 +73,7 @@ def to_yaml(proposal: SiteProposal, *, where: str) -> str:
 
 
 def identifier(name: str, *, where: str) -> Identifier:
-    """Return the id of a foreign name: lower case, and `-` for whatever an id cannot hold.
+    """Return the id of a foreign name: lower case, `-` for each character that no id has.
 
     Raises:
         MalformedError: nothing that an id can hold is left, or too much.

@@ -3,8 +3,8 @@
 
 A graph has points where a site has areas. Each region becomes a square around its point, small
 enough that no two come near; each connection becomes a narrow way of its own between two squares,
-with a door at each end. What cannot be drawn without an overlap is refused: nobody guesses where a
-robot may drive. How-to: docs/howto/site.md#import
+with a door at each end. What cannot be drawn without an overlap is refused: the importer does not
+guess where a robot may drive. How-to: docs/howto/site.md#import
 """
 
 from __future__ import annotations

@@ -70,7 +70,7 @@ def _strictness(case: Case, policy: RiskPolicy) -> tuple[int, int, int]:
 
 
 def check_approval(case: Case, grant: Grant, need: Need) -> Findings:
-    """(7) Req(a, s) people, the issuer's included, are behind it; nobody denied."""
+    """(7) Req(a, s) people, the issuer's included, approved it; none denied."""
     if need.required <= 1:
         return ()
     request = case.standing.requests.get(grant.id) if case.standing is not None else None
@@ -90,7 +90,7 @@ def check_approval(case: Case, grant: Grant, need: Need) -> Findings:
 def find_preapproval(case: Case, grant: Grant, row: Row, need: Need) -> VerifiedPreApproval | None:
     """Return a pre-approval that stands in for the approvals that step 7 asks; None: there is none.
 
-    The caller has asked step 7: nobody denied this very action.
+    The caller has asked step 7: this very action was not denied.
     """
     standing = case.standing
     request = standing.requests.get(grant.id) if standing is not None else None

@@ -19,7 +19,7 @@ class Case(Struct, frozen=True, kw_only=True):
 
     Args:
         verified: the mission; authority comes from here.
-        action: the proposal; anybody may have written it.
+        action: the proposal; untrusted.
         kind: the vocabulary's entry for its type, None when there is none.
         state: attested state, None when there is none.
         facts: the signed site and the gate's own identity.

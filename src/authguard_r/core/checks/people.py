@@ -22,21 +22,21 @@ MOST_NEEDS = 256
 def people_behind(issuer: Principal, approvers: list[Principal]) -> int:
     """Return how many people are behind an action for certain, the issuer's included.
 
-    The mission's signature alone counts one, also a group's. A group whose members nobody knows
-    counts one beside it and no third one: its signers may be whoever else signed.
+    The mission's signature alone counts one, also a group's. A group whose members are unknown
+    counts as one person beside it and adds no third one: its signers may be the other signers.
     """
     beside = [_signed(a) for a in approvers if _is_another(a, issuer)]
     return max(fewest_people([_signed(issuer), *beside]), 2) if beside else 1
 
 
 def _is_another(approver: Principal, issuer: Principal) -> bool:
-    """True when somebody approved who is for certain nobody behind the mission's signature."""
+    """True when a person approved who certainly did not sign the mission."""
     (count, people), (_, own) = _signed(approver), _signed(issuer)
     return count > len(people & own) if people and own else len(own) == 1
 
 
 def _signed(who: Principal) -> Signed:
-    """Return how many of whom signed; nobody of nobody where a group's members are not known."""
+    """Return how many of how many members signed; (0, 0) where a group's members are not known."""
     if who.members:
         return min(who.threshold, len(who.members)), who.members
     return (1, frozenset({who.id})) if who.threshold == 1 else (0, frozenset())

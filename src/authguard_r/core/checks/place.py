@@ -39,8 +39,8 @@ def place_findings(
 ) -> Findings:
     """Return why the robot cannot be said to be inside `regions`.
 
-    A pose that may lie in two regions passes only where both are allowed: nobody can say that
-    the robot is not in the other one.
+    A pose that may lie in two regions passes only where both are allowed: the robot may be in
+    either.
     """
     pose = state.snapshot.pose if state is not None else None
     unfit = unfit_finding("state.pose", pose, state, rid=rid, now=now, max_age_ms=max_age_ms)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who set each field: a value inside the signed rows may still be nobody's authorized choice.
+"""Who set each field: a value inside the signed rows may still be chosen by no authorized source.
 
 The label of a field is never read from the planner and never rests on text matching. A field is
 its signer's when the mission leaves one value for it, the chooser's when a signed selection names
@@ -111,7 +111,7 @@ def signed_by(field: str, grant: Grant, rows: tuple[Row, ...], issuer: Label) ->
 
 
 def _action_label(case: Case, field: str) -> Label | None:
-    """Return the label of a value that nobody but the planner set; None: nobody said which."""
+    """Return the label of a value that only the planner set; None when its source is unknown."""
     label = case.action.provenance.get(field)
     return label if label in UNTRUSTED else None
 

@@ -28,7 +28,7 @@ def check_source(case: Case, row: Row) -> Findings:
 
 
 def check_destination(case: Case, row: Row) -> Findings:
-    """(6) The destination is the row's, whatever a sign, a voice or a document says."""
+    """(6) The destination is the row's; a sign, a voice or a document cannot change it."""
     if case.action.destination == row.destination:
         return ()
     return (_differs(case, "destination", Reason.DESTINATION_OUT_OF_SCOPE, row.destination),)

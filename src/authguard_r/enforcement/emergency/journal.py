@@ -132,7 +132,7 @@ class EmergencyJournal:
         return tuple(self._known[n] for n in sorted(self._known) if n > heard)
 
     def after(self, heard: int, lost: int) -> None:
-        """Number and count on after what the log has, whatever became of the file that had it."""
+        """Number and count on after what the log has, even if the file that had it is lost."""
         self._last = max(self._last, heard)
         self.lost = max(self.lost, lost)
 

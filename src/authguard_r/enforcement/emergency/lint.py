@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether a policy is narrow: what it may not hold, however it was signed.
 
-A policy with a finding is not taken in. Types are listed, not guessed: a word that the site made
-up releases nothing and calls nobody. Spec page: docs/spec/emergency.md#lint
+A policy with a finding is not taken in. Types are listed, not guessed: a word that the site made up
+releases nothing and calls no person. Spec page: docs/spec/emergency.md#lint
 """
 
 from __future__ import annotations

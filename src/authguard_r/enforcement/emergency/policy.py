@@ -68,7 +68,7 @@ class Capability(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=
         type: canonical action type of the site's vocabulary.
         tool: the tool that carries it out.
         guards: all must hold on attested state when it begins and until it ends; one at least.
-        callers: sorted; whoever is not named is refused.
+        callers: sorted; a caller that is not named is refused.
         max_ms: longest time that it may take.
         per_hour: most uses within an hour, for each caller by itself.
         destination: one of the site's emergency places; for `safe_place` alone.

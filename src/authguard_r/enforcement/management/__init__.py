@@ -2,11 +2,10 @@
 """The acts that give, narrow, settle or end authority; each is one record.
 
 Handing in and activation need the signed mission itself, or an instance of a signed template.
-Everything else is a command signed by somebody who may give it: narrowing (suspend, revoke,
+Everything else is a command signed by a person who may give it: narrowing (suspend, revoke,
 withdraw) by the issuer or any safety officer, widening and settling (resume, resolve, complete) by
 the issuer. Source: section "Mission Compilation and Clarification" (updates), `alg:authguard` (the
-registry R).
-Spec page: docs/spec/standing.md#commands
+registry R). Spec page: docs/spec/standing.md#commands
 """
 
 from __future__ import annotations
@@ -253,7 +252,7 @@ class Management:
         attempt(self._ledger, lambda act: hold_configurations(act, parts, sealed=sealed))
 
     def require_configurations(self, parts: dict[ConfiguredPart, Configuration]) -> None:
-        """Refuse to go back, whatever the clock says.
+        """Refuse to go back, even when the clock went back.
 
         Raises:
             RefusedError: a signed part is older than one that was seen.
@@ -295,8 +294,8 @@ class Management:
         closing goes on closing: what is in flight counts as used.
 
         Args:
-            unclean: the gate before never said that it stopped (`started`): the active mission is
-                suspended even when nothing is open, for nobody knows what the robot did since.
+            unclean: the gate before did not record that it stopped (`started`): the active mission
+                is suspended even when nothing is open, for it is unknown what the robot did since.
 
         Returns:
             Tickets that only a person can settle.
@@ -308,7 +307,7 @@ class Management:
 
         def job(act: Transaction) -> tuple[Digest, ...]:
             if not self._parts.facts.risk:
-                hold_policy(act, None)  # whoever has seen one decides nothing without it
+                hold_policy(act, None)  # a gate that has had one decides nothing without it
             return recover(act, unclean=unclean, parts=self._parts)
 
         return self._ledger.run(job, essential=True)

@@ -28,8 +28,8 @@ def take_answer(
     """Keep an answer; what repeats one that is in the log already leaves no further record.
 
     A denial that fits closes its request in the same commit: what becomes of the denier's
-    certificate later changes nothing. Who answers before anybody asked fills no store, who answers
-    afterwards leaves one mark; neither consents to anything.
+    certificate later changes nothing. An answer before its question adds nothing to the store, an
+    answer afterwards leaves one mark; neither is a consent.
 
     Args:
         act: the act.

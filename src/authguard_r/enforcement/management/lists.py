@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Revocation lists that come while a gate runs, and the newest that it ever had.
 
-A list is signed by its authority, so anybody may bring it. It never gives way to an older one: its
+A list is signed by its authority, so anyone may install it. It never gives way to an older one: its
 number is above that of the list in force, and what was in force once is held in the store, in the
-same commit as its record. What was believed before is believed anew.
-Spec page: docs/spec/token.md#revocation
+same commit as its record. What was believed before is believed anew. Spec page:
+docs/spec/token.md#revocation
 """
 
 from __future__ import annotations
@@ -74,12 +74,12 @@ class Lists:
         self._dismissed = dismissed
 
     def install(self, data: bytes) -> Received:
-        """Take a newer list in: whatever is decided after this returns is decided under it.
+        """Take a newer list in: every decision after this returns uses it.
 
         The very list that is in force is so already: nothing is written, and nothing is wrong.
 
         Args:
-            data: the signed list, brought by anybody.
+            data: the signed list; anyone may bring it.
 
         Raises:
             MalformedError: no list, or of no authority that is here.

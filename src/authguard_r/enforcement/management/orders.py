@@ -115,7 +115,7 @@ def _carried_out(
     act: Transaction, command: Command, standing: Standing, mission: Mission
 ) -> Standing | None:
     if command.verb is Verb.RESUME and standing.open:
-        return None  # what nobody knows is resolved first
+        return None  # unknown outcomes are resolved first
     if command.verb is not Verb.RESOLVE:
         if command.verb is Verb.SUSPEND and standing.status is Status.SUSPENDED:
             return standing  # a newer word: no resume that was signed before it ends it

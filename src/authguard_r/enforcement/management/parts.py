@@ -175,7 +175,7 @@ def require_newest(act: Transaction, key: str, issued_ms: int, *, over_ms: int =
         signed = f"signed at {to_timestamp(issued_ms)}" if issued_ms else "signed at no known time"
         text = f"{signed}; expected later than {to_timestamp(newest_ms)}: sign it anew"
         raise refuse(Reason.ORDER_TOO_OLD, text, f"{key.rpartition('/')[2]}.issued_ms")
-    # who narrows by a clock that is far ahead keeps nobody from what comes next
+    # a narrowing by a clock that runs far ahead prevents no later order
     held_ms = issued_ms if issued_ms <= act.now.utc_ms + LIMITS.skew_ms else act.now.utc_ms
     act.put("order", key, str(held_ms).encode("ascii"))
 

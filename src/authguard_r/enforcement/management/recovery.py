@@ -16,7 +16,7 @@ from authguard_r.safety.stored_memory import settle_memory
 from authguard_r.store.transactions import Transaction
 
 _KIND, _KEY = "gate", "running"
-#: What a clean stop leaves; anything else says that nobody stopped cleanly.
+#: What a clean stop leaves; anything else says that the stop was not clean.
 _STOPPED, _RUNNING = b"0", b"1"
 
 

@@ -191,7 +191,7 @@ def _revoke_active(act: Transaction, template: Digest) -> None:
 def _template_of(kept: KeptTemplate) -> Template:
     """Return a template that was verified when it was taken in.
 
-    Its issuer's certificate may have ended since; that must not keep anybody from withdrawing it.
+    Its issuer's certificate may have ended since; that must not prevent a withdrawal.
     """
     return claimed(kept.token.encode("utf-8"), Template, tag=Tag.TEMPLATE)
 

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Destroying sealed fields: the keys at once, by a signed order or when their time is over.
 
-The order and the loss of the wrapped keys are one commit: from then on nobody opens the boxes. The
-boxes themselves go in small turns after it, so that no decision waits, and go on after a crash;
-what a store holds of the mission beside the log goes with them. The chain stays whole, and a
-record says who destroyed what. Spec page: docs/spec/sealed-fields.md#shredding
+The order and the loss of the wrapped keys are one commit: from then on the envelopes cannot be
+opened. The boxes themselves go in small turns after it, so that no decision waits, and go on after
+a crash; what a store holds of the mission beside the log goes with them. The chain stays whole, and
+a record says who destroyed what. Spec page: docs/spec/sealed-fields.md#shredding
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from authguard_r.enforcement.signed_orders import Command, Verb
 from authguard_r.store.transactions import Transaction, read_held
 from authguard_r.wire.gate_limits import LIMITS
 
-#: Who may order it: whoever says who reads, and for how long.
+#: Who may order it: a role that decides who reads, and for how long.
 ROLES = frozenset({"site_authority"})
 #: Where what is still to be destroyed is held.
 _KIND, _JOBS = "shredding", "jobs"
@@ -98,7 +98,7 @@ class Retired(Struct, frozen=True, kw_only=True):
 
     Args:
         begun: what is being destroyed now.
-        stuck: missions of which nobody can say whether their time is over: the store is damaged.
+        stuck: missions of which it is unknown whether their time is over: the store is damaged.
     """
 
     begun: tuple[Shredding, ...] = ()
@@ -133,8 +133,8 @@ def retire(act: Transaction, *, parts: ManagementParts) -> Retired:
     """Destroy what was kept as long as the signed retention says; some of it, at most.
 
     A mission's own times count in place of the gate's, within the gate's bounds. A mission that
-    expired and that nobody ended lapses before; one of which nobody knows how an action ended
-    waits until somebody says it.
+    expired and was not ended lapses before. A mission with an action of unknown outcome waits until
+    a person resolves it.
     """
     rules, due = parts.sealing.most_ms, stored_policy.due_missions(act)
     looked = {mid: _ripe(act, mid, parts) for mid in due[:_MOST_DUE]}
@@ -216,7 +216,7 @@ def _required(
     What is destroyed with a class tells of others too, so it is kept as long as any has to be.
 
     Raises:
-        RefusedError: nobody ended the mission, its fields are to be kept, or there are none.
+        RefusedError: the mission did not end, its fields are to be kept, or there are none.
     """
     standing = None if mid == NONE else act.standing(MissionId(mid))
     if standing is not None and standing.status not in TERMINAL:
@@ -432,7 +432,7 @@ def _corrupt(text: str, seq: int) -> StoreError:
 def _jobs(act: Transaction) -> tuple[Shredding, ...]:
     held = act.get(_KIND, _JOBS)
     jobs = read_held(held, tuple[Shredding, ...], _KIND) if held else ()
-    if held and not jobs:  # what there is to destroy, nobody can say
+    if held and not jobs:  # what there is to destroy is unknown
         text, where = "expected something that is to be destroyed", f"store.{_KIND}"
         raise StoreError(text, where=where, reason=Reason.STORE_CORRUPT)
     return jobs

@@ -30,9 +30,9 @@ class TemplateConfirmation(
         digest: of the template that was signed.
         template: its name.
         by: who signed, as the signing key's certificate must say.
-        at_ms: the signing machine's clock, milliseconds since 1970; nobody attests it.
-        how: whether anybody was asked.
-        shown: whether card and lint were put before whoever signed.
+        at_ms: the signing machine's clock, milliseconds since 1970; not attested.
+        how: whether a person was asked.
+        shown: whether the signer saw card and lint.
         card: digest of the card that was shown; absent when none was.
         accepted: codes of lint errors that the signer accepted by name, sorted.
     """

@@ -97,7 +97,7 @@ def expand(
 
 
 def filled(template: Template, fill: Fill) -> Mission:
-    """Return a combination as a signer reads it: as long as may be, with nobody's name or nonce.
+    """Return a combination as a signer reads it: as long as possible, without a name or a nonce.
 
     Raises:
         MalformedError: this combination is no schema-valid mission.
@@ -132,5 +132,5 @@ def _filled(value: object, fill: Fill, path: Path) -> object:
     parts = [_filled(item, fill, (*path, number)) for number, item in enumerate(listed)]
     if path == ("task",):
         return "".join(str(part) for part in parts)
-    # a set has one spelling whatever its values are; what cannot be sorted the schema refuses
+    # a set has one spelling for the same values; the schema refuses what cannot be sorted
     return sorted(parts, key=str) if rule_of(path) in SETS else parts

@@ -176,7 +176,7 @@ def covered(instance: Instance, template: Template, hashed: Digest) -> Mission:
     """Return the mission that an instance makes of a sound template, once the template covers it.
 
     Args:
-        instance: what is asked for; its signature is somebody else's to check.
+        instance: what is asked for; another part checks its signature.
         template: what was signed.
         hashed: the template's digest.
 

@@ -2,7 +2,7 @@
 """Missions as they were when they were verified: read again, and held to no certificate.
 
 Who signed a mission may be revoked while it is active. That ends what it authorizes; it must not
-keep anybody from ending it. Spec page: docs/spec/standing.md#what-a-lost-signature-leaves
+prevent its end. Spec page: docs/spec/standing.md#what-a-lost-signature-leaves
 """
 
 from __future__ import annotations

@@ -119,7 +119,7 @@ SETS: frozenset[Path] = frozenset({("objects",), ("regions",), (*_ROW, "regions"
 
 
 def require_sound(template: Template) -> None:
-    """Hold a decoded template to the rules that its types cannot say, whatever its values are.
+    """Hold a decoded template to the rules that its types cannot express, for all of its values.
 
     That a combination is a schema-valid mission is held when it is filled (`expansion.expand`).
 

@@ -74,7 +74,7 @@ class Background:
                 runner.run(_let_begin())
 
     def _shut(self) -> None:
-        """Begin nothing more, and let nobody wait for what was begun too late."""
+        """Begin nothing more, and let no caller wait for what was begun too late."""
         with self._door:
             self._is_closed = True
             left = tuple(self._begun)

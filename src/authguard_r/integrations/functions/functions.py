@@ -145,7 +145,7 @@ class Functions:
         *,
         ticket: Digest | None = None,
     ) -> ToolAnswer:
-        """Call a function, for the caller whose release it is; for nobody when it is another's.
+        """Call a function for the caller whose release it is; another's release has no caller.
 
         Raises:
             CallError: there is none of the name, it cannot be called so, or it did not end.
@@ -317,7 +317,7 @@ def in_thread(
     context: contextvars.Context,
     ended: Callable[[], None],
 ) -> Future[FunctionResult]:
-    """Call a function in a thread that ends with the process, whatever it does."""
+    """Call a function in a thread that ends with the process, even if it does not return."""
     found: Future[FunctionResult] = Future()
     found.set_running_or_notify_cancel()
 
@@ -358,7 +358,7 @@ def in_loop(
         ended()
         error = asyncio.CancelledError() if task.cancelled() else task.exception()
         kept = task.result() if error is None else FunctionResult(value=error, text=named(error))
-        with suppress(InvalidStateError):  # it was called off; nobody waits any more
+        with suppress(InvalidStateError):  # it was called off; no caller waits any more
             found.set_result(kept)
 
     def begin() -> None:

@@ -152,7 +152,7 @@ class GateGuard:
         Args:
             name: the tool's, as the binding spells it.
             function: does its work when it is called, or is a coroutine function.
-            coroutine: does the same when it is awaited, in the loop of whoever awaits `acall`.
+            coroutine: does the same when it is awaited, in the event loop that awaits `acall`.
             words: every word of what it returns that a model could read; for values whose JSON
                 and `str` do not say it.
             fields: what it returns as fields by name, for the binding's `succeeds`.
@@ -208,7 +208,7 @@ class GateGuard:
 
         Raises:
             Refused: nothing was called.
-            Failed: it did not succeed, or nobody knows.
+            Failed: it did not succeed, or its outcome is unknown.
             Repeated: it succeeded before under this key.
             MalformedError: no function is registered for the tool.
         """
@@ -240,9 +240,9 @@ class GateGuard:
             raise
 
     def unreadable(self, tool: str, text: str | bytes | bytearray) -> Future[None]:
-        """Have the gate refuse, and log, what a model wrote for a call that nobody can read.
+        """Have the gate refuse, and log, what a model wrote for a call that cannot be read.
 
-        Nothing is called for it, whatever the gate answers; whoever wants to may wait for that.
+        It is never called; the caller may wait for the gate's answer.
         """
         plain = text if isinstance(text, str) else text.decode(errors="backslashreplace")
         return self._background.begin(self._ends.planner.unreadable(tool, plain))
@@ -319,7 +319,7 @@ class GateGuard:
         caller: WaitingCaller,
         asked: CallOutcome,
     ) -> Any:
-        """Call the function whatever the gate said, and let it know what the planner sees."""
+        """Call the function after each verdict, and let the gate know what the planner sees."""
         report = {**report_of(asked), "shadow": True}
         try:
             kept = await self._functions.carry(tool, arguments, caller)
@@ -370,7 +370,7 @@ class GateGuard:
                 return self.call(called, given(args, kwargs))
 
         made = functools.update_wrapper(guarded, function, updated=())
-        del made.__wrapped__  # the function itself is in nobody's reach from here
+        del made.__wrapped__  # the function itself cannot be reached from here
         made.__signature__ = signature  # type: ignore[attr-defined]
         return made
 

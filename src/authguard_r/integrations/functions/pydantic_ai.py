@@ -111,7 +111,7 @@ class _AsWritten:
         return input
 
     def _said(self, text: str | bytes | bytearray) -> None:
-        """Let the gate's log have it; a guard that is closed has nobody to tell."""
+        """Let the gate's log have it; a closed guard has no gate to send to."""
         with suppress(AuthGuardError):
             self._guard.unreadable(self._tool, text)
 
@@ -164,7 +164,7 @@ class GuardedToolset(WrapperToolset[Any]):
 
         Raises:
             ToolFailed: it was refused, or did not succeed.
-            Exception: whatever the tool raises.
+            Exception: what the tool raises.
         """
         if not isinstance(tool, _GuardedTool):
             raise TypeError(f"expected a tool of this toolset, got `{type(tool).__name__}`")

@@ -68,7 +68,7 @@ def words_in(value: Any) -> tuple[str, ...]:
     """Return a value's words as one text, and each text in it as the model is shown it alone.
 
     Raises:
-        Exception: whatever the value's own code raises.
+        Exception: what the value's own code raises.
     """
     plain = to_jsonable_python(value, fallback=str, bytes_mode="base64")
     return tuple(dict.fromkeys((*words_of(value), *words_of(plain), *_texts(plain))))

@@ -45,7 +45,7 @@ class CallTurn:
         if not waits:
             self._begun.set()
         self._asked = loop.create_task(guard.acall(tool, asked, beside={BESIDE: self}))
-        # nobody is warned of the end of a call that nobody waits for
+        # no warning is needed for the end of a call without a waiting caller
         self._asked.add_done_callback(lambda asked: asked.cancelled() or asked.exception())
 
     async def released(self) -> dict[str, Any]:
@@ -66,7 +66,7 @@ class CallTurn:
         Raises:
             NotDone: it was refused, or did not succeed.
             AuthGuardError: nothing was decided.
-            Exception: whatever the tool raised.
+            Exception: what the tool raised.
         """
         self._begun.set()
         try:
@@ -86,7 +86,7 @@ class CallTurn:
 
         Raises:
             MalformedError: it was given up, or not begun in time; nothing was done.
-            Exception: whatever the tool raises.
+            Exception: what the tool raises.
         """
         arguments = {**self._nulls, **arguments}
         self._released.set_result(arguments)

@@ -70,7 +70,7 @@ def words_of(value: Any) -> tuple[str, ...]:
     """Return every word of what a function returned, in the forms that a model may be shown.
 
     Raises:
-        Exception: whatever the value's own code raises.
+        Exception: what the value's own code raises.
     """
     if value is None:
         return ("",)

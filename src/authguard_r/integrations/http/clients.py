@@ -21,7 +21,7 @@ from authguard_r.integrations.http_listener.connection import CHAIN
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.trust import Trust
 
-#: Who may ask unless somebody says otherwise.
+#: Who may ask by default.
 ROLES = frozenset({Role.OPERATOR, Role.SUPERVISOR, Role.SAFETY_OFFICER})
 #: Certificates that no longer hold, or never did: show another one.
 _UNKNOWN = {"www-authenticate": "Bearer"}
@@ -61,7 +61,7 @@ class Certificates:
             chain: leaf and authority; TLS has seen that the client holds the leaf's key.
 
         Raises:
-            RequestError: it does not hold (401), or not for this (403); or nobody can say (503).
+            RequestError: it is not valid (401), or not for this (403); or that is unknown (503).
         """
         try:
             leaf = self._usable().identify(chain, self._now())
@@ -90,7 +90,7 @@ class Certificates:
 
 
 class Doorkeeper:
-    """Lets nobody in who has not shown all that is asked for.
+    """Lets in only a caller who has shown all that is asked for.
 
     Args:
         token: the bearer token; None: none is asked for.
@@ -109,7 +109,7 @@ class Doorkeeper:
             scope: of the request.
 
         Raises:
-            RequestError: nobody who may.
+            RequestError: the caller may not.
         """
         if self._token is not None and not shows(scope["headers"], self._token):
             text = "expected `Authorization: Bearer TOKEN`, once"

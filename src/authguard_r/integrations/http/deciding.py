@@ -106,11 +106,11 @@ class Decider:
             key: names it: the same again is answered with what is recorded.
 
         Raises:
-            AwayError: nobody knows; the same key asks again.
+            AwayError: the outcome is unknown; the same key asks again.
             RefusedError: nothing was decided under this key.
         """
         if self._turn.locked():
-            # not kept waiting: whoever gave up by then would have it carried out all the same
+            # not kept waiting: the call would run even though its caller gave up by then
             raise AwayError(busy("another proposal is being carried out"))
         async with self._turn:
             plan = plan_of(asked.tool, asked.arguments)

@@ -37,7 +37,7 @@ class Edge:
     """Stands before an application.
 
     Args:
-        app: answers whoever is let through.
+        app: answers each caller that is let through.
         doorkeeper: says who may ask.
         hosts: names that a request may call this server by; None: any, behind TLS.
         lines: the log. Requests that were not let in share a bound.
@@ -59,7 +59,7 @@ class Edge:
             let_in(scope)
             await self._app(scope, receive, answer.send)
         except GoneError:
-            return  # nothing is asked for whoever cannot be answered
+            return  # no question is asked for a caller who cannot be answered
         except RequestError as error:
             await answer.refuse(error)
         except Exception as error:  # noqa: BLE001 - a fault of ours is said, not thrown

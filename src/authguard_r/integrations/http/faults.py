@@ -14,9 +14,9 @@ from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.integrations.http.messages import Problem
 
-#: Whoever met a gate in trouble asks again after so long, in seconds.
+#: After how long a client that met a gate in trouble asks again, in seconds.
 RETRY_S = 1
-#: Codes of a status that nobody else gives one.
+#: Codes of a status without a code of its own.
 _CODES = {
     404: "NOT_FOUND",
     405: "METHOD_NOT_ALLOWED",

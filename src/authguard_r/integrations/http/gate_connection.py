@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The way to the gate: connected when somebody asks, and anew when the connection was lost.
+"""The connection to the gate: made at the first request, and anew when it was lost.
 
 Spec page: docs/spec/http.md#the-gate
 """

@@ -18,7 +18,7 @@ MAX_BATCH = 100
 #: Longest page of records, and how long it is unless told.
 MAX_PAGE, PAGE = 1_000, 100
 
-#: What the sender knows of somebody or something; nothing here reads it.
+#: What the sender knows of a person or a thing; nothing here reads it.
 Claims = dict[str, Any]
 
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A port and who may speak there: what every server of this package over HTTP has in common.
 
-A Unix socket says whose process asks; a port does not. So nobody is served without a secret, and
-nothing listens wider than this machine unless its caller has said how that is made safe.
-Spec pages: docs/spec/listeners.md, docs/spec/http.md#who-may-ask
+A Unix socket says whose process asks; a port does not. So a caller without a secret is not served,
+and nothing listens wider than this machine unless its caller has said how that is made safe. Spec
+pages: docs/spec/listeners.md, docs/spec/http.md#who-may-ask
 """
 
 from __future__ import annotations

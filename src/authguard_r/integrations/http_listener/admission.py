@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """How many may be connected, and who has to go when there are more.
 
-Anybody on this machine can connect to a port, as often as he likes. So who connects is counted from
-the first moment on, and when the room is full, a stranger makes place for the next one: the
-stranger who came first. Nobody goes whose request was let in and is not answered yet.
-Spec page: docs/spec/listeners.md
+Every user of this machine can connect to a port, as often as they like. So who connects is counted
+from the first moment on, and when the room is full, a stranger makes place for the next one: the
+stranger who came first. A connection whose request was let in and is not answered yet is kept. Spec
+page: docs/spec/listeners.md
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class AdmissionLimits(Struct, frozen=True, kw_only=True):
     """What a listener gives to those whom it does not know, and to all in sum.
 
     Args:
-        connections: at one time, in whatever state.
+        connections: at one time, in every state.
         first_s: from the connection, TLS included, until the first request's head is whole, and
             from an answer until the next one's is; in seconds.
         idle_s: nothing is asked between two requests for so long, in seconds.
@@ -89,7 +89,7 @@ class AdmissionControl(Generic[G]):
 
     @property
     def guests(self) -> tuple[G, ...]:
-        """Everybody who is there."""
+        """Every connection that is there."""
         return (*self._strangers, *self._known, *self._served)
 
     @property
@@ -102,7 +102,7 @@ class AdmissionControl(Generic[G]):
         return guest in self._strangers
 
     def enter(self, guest: G) -> G | None:
-        """Take somebody in; return who has to go for that: possibly the one who came."""
+        """Take a connection in; return which one has to go for that: possibly the new one."""
         if len(self._strangers) + len(self._known) + len(self._served) < self._most:
             self._strangers[guest] = None
             return None
@@ -113,7 +113,7 @@ class AdmissionControl(Generic[G]):
         return gone
 
     def spare(self) -> G | None:
-        """Take out who can be done without first, and return him; None: nobody can."""
+        """Take out the connection that is needed least, and return it; None when all are needed."""
         for group in (self._strangers, self._known):
             for guest in group:
                 del group[guest]
@@ -138,7 +138,7 @@ class AdmissionControl(Generic[G]):
             self._known[guest] = None
 
     def leave(self, guest: G) -> None:
-        """Somebody has gone."""
+        """A connection has ended."""
         self._strangers.pop(guest, None)
         self._known.pop(guest, None)
         self._served.discard(guest)

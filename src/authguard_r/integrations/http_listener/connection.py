@@ -23,11 +23,11 @@ STRANGERS = 100
 
 
 class GoneError(Exception):
-    """A request was read, and its connection has been ended: nobody would hear an answer."""
+    """A request was read, and its connection has ended: the answer could not be sent."""
 
 
 class HttpConnection:
-    """Somebody who is connected.
+    """A connected client.
 
     Args:
         room: where he has a place.
@@ -80,7 +80,7 @@ class HttpConnection:
 
 
 def let_in(scope: Scope) -> None:
-    """Say of a request that whoever sends it has shown who he is.
+    """Mark a request: its sender has shown who they are.
 
     Raises:
         GoneError: his connection has been ended.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Serves HTTP at a port until somebody ends it; no crowd at the port ends it or fills its log.
+"""Serves HTTP at a port until it is ended; a flood of connections does not fill its log.
 
 uvicorn speaks HTTP. Who is taken in, this module decides: asyncio's own server takes in more than
 there are files for, waits a second at each failure, and writes a traceback of it.
@@ -39,12 +39,12 @@ Make = Callable[[HttpConnection, Callable[[], asyncio.Protocol]], asyncio.Protoc
 
 
 class Acceptor:
-    """Takes in whoever connects.
+    """Takes in each connection.
 
     Args:
         made: listens.
         limits: of connections.
-        lines: where it is said that somebody had to go.
+        lines: where it is said that a connection had to go.
     """
 
     def __init__(self, made: socket.socket, limits: AdmissionLimits, lines: Lines) -> None:
@@ -70,7 +70,7 @@ class Acceptor:
         self._loop.add_reader(self._made, self._accept)
 
     def close(self) -> None:
-        """Take nobody in any more."""
+        """Accept no more connections."""
         if self._again is not None:
             self._again.cancel()
         self._loop.remove_reader(self._made)
@@ -110,7 +110,7 @@ class Acceptor:
             self._lines.write({"event": "crowded"}, kind="crowded", most=1)
 
     def _wait(self) -> None:
-        """Look at the port again in a while: the file of whoever goes is closed by then."""
+        """Look at the port again in a while: by then the closed connection's file is free."""
         self._loop.remove_reader(self._made)
         self._again = self._loop.call_later(
             AGAIN_S, self._loop.add_reader, self._made, self._accept
@@ -118,7 +118,7 @@ class Acceptor:
 
 
 class _UvicornServer(uvicorn.Server):
-    """A server that leaves signals to whoever runs it, and its port to a door.
+    """A server that leaves signals to its process, and its port to a listener.
 
     Args:
         config: of uvicorn.
@@ -143,7 +143,7 @@ class _UvicornServer(uvicorn.Server):
             self._door.open(self._connection)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """Close the door, answer what was let in, and let everybody go."""
+        """Close the port, answer what was let in, and end every connection."""
         self._door.close()
         await super().shutdown(sockets or [])
         self._door.clear()
@@ -178,7 +178,7 @@ async def serve_until_told(
         app: answers; it says of each request that it lets in that it does (`guests.let_in`).
         made: listens; it is closed in the end.
         limits: of the listener.
-        lines: where it is said that somebody had to go.
+        lines: where it is said that a connection had to go.
         make: makes the outermost protocol of a connection.
         has_lifespan: the application is told of the beginning and the end.
 
@@ -197,7 +197,7 @@ async def serve_until_told(
         h11_max_incomplete_event_size=allowed.head,
         timeout_keep_alive=round(allowed.idle_s),
         timeout_graceful_shutdown=END_S,
-        proxy_headers=False,  # nobody in between is believed
+        proxy_headers=False,  # no proxy is trusted
     )
     server = _UvicornServer(config, Acceptor(made, allowed, lines), make)
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a tool's server answered, as the planner is told it, and every word in it.
 
-Whatever a server says about its own answer decides nothing; the words are for the ledger of what
-the planner has seen. Spec page: docs/spec/mcp.md#results
+What a server says about its own answer decides nothing; the words are for the ledger of what the
+planner has seen. Spec page: docs/spec/mcp.md#results
 """
 
 from __future__ import annotations

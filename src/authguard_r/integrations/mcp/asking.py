@@ -31,7 +31,7 @@ class PersonAnswer(Enum):
 
 
 def said(params: types.CallToolRequestParams) -> PersonAnswer | None:
-    """Return what a person has answered; None: nobody was asked."""
+    """Return what a person has answered; None when no person was asked."""
     if params.input_responses is None:
         return None
     answers = params.input_responses.values()
@@ -66,7 +66,7 @@ def question(tool: str, required: object) -> types.InputRequiredResult:
 
 
 async def asked_to_go_on(ctx: Any, tool: str, required: object) -> bool:
-    """Ask a legacy client's person; False when nobody says yes."""
+    """Ask a legacy client's person; False without a yes."""
     try:
         async with asyncio.timeout(PERSON_S):
             said = await ctx.session.elicit_form(

@@ -28,7 +28,7 @@ MAX_MESSAGE = 4 << 20
 #: after the same time it is killed.
 END_S = 2.0
 _LOOK_S = 0.01
-#: How it shows that nobody says or hears anything more.
+#: How it shows that its input and output are closed.
 _ENDS = (
     anyio.BrokenResourceError,
     anyio.ClosedResourceError,
@@ -129,7 +129,7 @@ async def _say(process: asyncio.subprocess.Process, said: Any, heard: Any) -> No
 
 
 async def _end(process: asyncio.subprocess.Process) -> None:
-    """Close its input, wait, and end whatever is left of it: itself and what it started."""
+    """Close its input, wait, and end what is left of it: itself and what it started."""
     if process.stdin is not None:
         process.stdin.close()
     for number in (signal.SIGTERM, signal.SIGKILL):

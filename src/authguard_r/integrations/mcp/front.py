@@ -3,8 +3,7 @@
 
 A call becomes a proposal; the answer is what the gate says of it, with what the tool brought to
 light. Nothing is decided here: resources, prompts, completions, log levels and subscriptions have
-no handler, and a form that a client has filled in is read by nobody.
-Spec page: docs/spec/mcp.md#front
+no handler, and a form that a client has filled in is not read. Spec page: docs/spec/mcp.md#front
 """
 
 from __future__ import annotations
@@ -144,7 +143,7 @@ class Front:
     async def _beside(
         self, tool: str, arguments: dict[str, Any], asked: CallOutcome
     ) -> types.CallToolResult:
-        """Make a call whatever the gate said, and let it know what the planner sees."""
+        """Make a call after each verdict of the gate, and let it know what the planner sees."""
         if self._unguarded is None:  # pragma: no cover - asked by the caller
             raise RuntimeError("nothing is called from here")
         answer = await self._unguarded(tool, arguments)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The front over streamable HTTP, on loopback, for whoever knows the token.
+"""The front over streamable HTTP, on loopback, for clients that know the token.
 
 Spec page: docs/spec/mcp.md#http
 """
@@ -26,7 +26,7 @@ LIMITS = AdmissionLimits(connections=256, body=1 << 20)
 
 
 def guarded(app: App, token: bytes, lines: Lines) -> App:
-    """Return the application for those who show the token; anybody else has 401 and no more.
+    """Return the application for clients that show the token; every other client gets 401.
 
     Args:
         app: answers them.

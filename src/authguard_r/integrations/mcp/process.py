@@ -100,7 +100,7 @@ async def serve(setup: GatewaySetup, front_of: Callable[[Front], Awaitable[None]
     Raises:
         EnvironmentFault: gate or server did not come.
     """
-    # the protocol's library writes a line for whatever a server says that it does not like
+    # the protocol's library writes a line for each thing that it does not like in a server's answer
     logging.getLogger("mcp").setLevel(logging.CRITICAL)
     try:
         async with Gateway(setup).running() as front:

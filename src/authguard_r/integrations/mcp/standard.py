@@ -2,8 +2,8 @@
 """Standard input and output as the protocol's stream, without a thread between.
 
 The protocol's own library reads and writes files by worker threads, which takes three switches a
-call; pipes and sockets need none. While the stream is held, whatever else reads or prints in this
-process finds no input and goes to standard error. Spec page: docs/spec/mcp.md#front
+call; pipes and sockets need none. While the stream is held, other code of this process that reads
+or prints finds no input and goes to standard error. Spec page: docs/spec/mcp.md#front
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 """The tools' server: one connection, made again when it is lost, held to what was pinned.
 
 It is asked for tools and for nothing else. Its resources, prompts, completions, log lines and
-notifications reach nobody, and what it asks of a client (a model, a person, its files) is declined.
+notifications are dropped, and what it asks of a client (a model, a person, its files) is declined.
 Spec page: docs/spec/mcp.md#upstream
 """
 
@@ -138,7 +138,7 @@ class Upstream:
             if error.code in {types.REQUEST_TIMEOUT, types.CONNECTION_CLOSED}:
                 self._lost.set()
                 raise CallError(error.error.message, sent=True) from error
-            if error.code == types.PARSE_ERROR:  # there was an answer, and nobody can read it
+            if error.code == types.PARSE_ERROR:  # there was an answer, and it cannot be read
                 raise CallError(error.error.message, sent=True) from error
             text = types.TextContent(type="text", text=f"{error.code}: {error.error.message}")
             return types.CallToolResult(content=[text], is_error=True)
@@ -226,7 +226,7 @@ async def ended_with_care(work: Callable[[asyncio.Lock], Coroutine[Any, Any, T]]
 
     The protocol's library ends a process that runs when a scope of anyio's is canceled, and may
     leave it behind when its task is; one that is half begun it leaves behind either way. So the
-    task that somebody cancels is not the one that holds it, and a start is waited for.
+    task that is cancelled is not the one that holds it, and a start is waited for.
 
     Args:
         work: what to do; it holds the lock while it starts a process.

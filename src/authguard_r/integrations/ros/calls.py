@@ -126,7 +126,7 @@ def fitted(binding: Binding, ros: RosMap, site: Site) -> Binding:
         raise MalformedError("expected a robot of the site", where="map.robot")
     spoken = bound(binding, ros, site)
     for key, item in ros.mediated.items():
-        # a robot that nobody knows to stand is not steered
+        # a robot that is not known to stand is not steered
         if item.kind is MediationKind.STREAM and stopping_mm(robot.profile, 1) is None:
             text = "expected a robot whose profile says how it brakes"
             raise MalformedError(text, where=f"mediated.{key}")

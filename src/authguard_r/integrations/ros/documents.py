@@ -84,7 +84,7 @@ class Opened(Struct, frozen=True, kw_only=True):
         until: it holds until then.
         publish: topics, or patterns of them, that may be written in the domain.
         subscribe: likewise, read.
-        everything: whatever no rule names is let through.
+        everything: what no rule names is let through.
     """
 
     subject: str
@@ -100,7 +100,7 @@ class Opened(Struct, frozen=True, kw_only=True):
 
 
 def governance(domain: int) -> bytes:
-    """Return the governance of a domain: everybody has a certificate, everything is encrypted."""
+    """Return a domain's governance: every participant has a certificate, all is encrypted."""
     root = _document("governance")
     rule = SubElement(SubElement(root, "domain_access_rules"), "domain_rule")
     SubElement(SubElement(rule, "domains"), "id").text = str(domain)
@@ -116,7 +116,7 @@ def governance(domain: int) -> bytes:
 def permissions(
     enclave: str, rights: Rights, *, domain: int, since: datetime, until: datetime
 ) -> bytes:
-    """Return what one enclave may do; whatever is not named is denied."""
+    """Return what one enclave may do; everything else is denied."""
     root = _document("permissions")
     grant = SubElement(SubElement(root, "permissions"), "grant", name=enclave)
     SubElement(grant, "subject_name").text = f"CN={enclave}"
@@ -199,7 +199,7 @@ def _grant(grant: Element, *, domain: int, where: str) -> Opened:
 
 
 def _is_in(rule: Element, domain: int) -> bool:
-    """True of a rule for the domain; one whose domains nobody can read is for all of them."""
+    """True of a rule for the domain; a rule with unreadable domains is for all of them."""
     domains = rule.find("domains")
     if domains is None:
         return True
@@ -245,7 +245,7 @@ def _parsed(text: bytes, form: Mapping[str, AbstractSet[str]], *, where: str) ->
     builder = TreeBuilder(insert_comments=True, insert_pis=True)
     parser = DefusedXMLParser(target=builder, forbid_dtd=True)
     try:
-        said = text.decode()  # whatever it says of its encoding
+        said = text.decode()  # also when it declares another encoding
         parser.feed(said)
         root: Element = parser.close()
     except (ParseError, DefusedXmlException, ValueError) as error:
@@ -269,7 +269,7 @@ def _require_form(element: Element, within: AbstractSet[str], *, where: str) -> 
     notes = [tag for tag in tags if not isinstance(tag, str)]  # comments, instructions
     named = [str(tag) for tag in tags if isinstance(tag, str)]
     strange = [tag for tag in named if tag not in within or (tag in ONCE and named.count(tag) > 1)]
-    if strange or (notes and not within):  # a comment between elements is nobody's matter
+    if strange or (notes and not within):  # a comment between elements has no effect
         message = f"expected in `{element.tag}` what DDS Security has there, got {named or 'notes'}"
         raise MalformedError(message, where=where)
 

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether a keystore lets the gate's process alone move the robot: every enclave in it is read.
 
-It need not be one that we made: what counts is what its signed documents let through. Whatever
-cannot be read, or is not understood, is a fault.
-Spec page: docs/spec/ros-map.md#check
+It need not be one that we made: what counts is what its signed documents let through. What cannot
+be read, or is not understood, is a fault. Spec page: docs/spec/ros-map.md#check
 """
 
 from __future__ import annotations
@@ -156,7 +155,7 @@ def check_enclave(
 def _enclave_faults(
     enclave: _Enclave, ca: _Authorities, ros: RosMap, wanted: Rights | None, now: datetime
 ) -> list[KeystoreFault]:
-    """Return what is wrong with each part, whatever is wrong with the others."""
+    """Return what is wrong with each part, independent of the other parts."""
     found: list[KeystoreFault] = []
     for part in (
         _identity(enclave, ca, now),

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A keystore as ROS 2 reads it: two authorities, and for each process a key, and what it may do.
 
-Every right is worked out from the map. The authority that says who somebody is and the one that
-says what he may do are two: whoever holds one of their keys cannot do with that alone.
-Spec page: docs/spec/ros-map.md#keystore
+Every right is worked out from the map. One authority certifies identities and another one
+permissions: a holder of one of their keys alone cannot do either. Spec page:
+docs/spec/ros-map.md#keystore
 """
 
 from __future__ import annotations

@@ -16,23 +16,23 @@ MS = 1_000_000
 class LatchCause(StrEnum):
     """Why nothing may go."""
 
-    #: nobody was heard since the start
+    #: nothing was heard since the start
     START = "start"
     #: DDS missed a sample
     DEADLINE = "deadline"
-    #: DDS says that nobody asserts any more
+    #: DDS says that the publisher is not alive
     LIVELINESS = "liveliness"
     #: the own watch missed a sample
     SILENCE = "silence"
     #: the last publisher is gone
     GONE = "publisher_gone"
-    #: somebody publishes beside the one that was heard, or in its place
+    #: another one publishes beside the one that was heard, or in its place
     ANOTHER = "another_publisher"
     #: a velocity is not a finite number
     NOT_FINITE = "not_finite"
     #: the robot's own driver failed
     DRIVER = "driver"
-    #: whoever owned it has closed it
+    #: its owner has closed it
     CLOSED = "closed"
 
 

@@ -102,7 +102,7 @@ class Enclaves(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     Args:
         gate: the node that stands between.
         deadman: cancels what runs when that node is gone, and may do nothing else.
-        planner: whatever asks.
+        planner: the client that asks.
         estimator: reads where the robot is, and publishes nothing.
         display: reads what was decided, and publishes nothing.
     """
@@ -282,7 +282,7 @@ def _lists(process: Process) -> Iterator[tuple[str, tuple[str, ...]]]:
 
 
 def _enclaves(ros: RosMap) -> Iterator[tuple[str, str]]:
-    """Yield enclaves that are none, that two processes share, or that nobody has."""
+    """Yield enclaves that are not valid, that two processes share, or that no process has."""
     seen: dict[str, str] = {}
     ours = {word: getattr(ros.enclaves, word) for word in ros.enclaves.__struct_fields__}
     for place, name in (
@@ -346,7 +346,7 @@ def _liars(ros: RosMap) -> Iterator[tuple[str, str]]:
 
 
 def _place(ros: RosMap, position: Position) -> Iterator[tuple[str, str]]:
-    """Yield a place that nobody says, or that more say than are named."""
+    """Yield a place that no localization publishes, or that more publish than are named."""
     writers = sorted(writers_of(ros, position.topics))
     topics = " or ".join(f"`{topic}`" for topic in position.topics)
     if position.odometry and position.shared:

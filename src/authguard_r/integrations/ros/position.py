@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether what a robot's localization says is sound, sample by sample.
 
-Whatever is doubtful is a reason to say nothing: a state that is not attested grows old, and the
-gate stops the robot by itself. Free of ROS: its callers bring what messages say, and the time.
-Spec page: docs/spec/ros-position.md#sound
+Every doubt is a reason to say nothing: a state that is not attested grows old, and the gate stops
+the robot by itself. Free of ROS: its callers bring what messages say, and the time. Spec page:
+docs/spec/ros-position.md#sound
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class DoubtCause(StrEnum):
     ANOTHER = "another_publisher"
     #: the middleware does not say who published
     UNNAMED = "unnamed_publisher"
-    #: somebody publishes another type, or another version of it
+    #: a publisher uses another type, or another version of it
     TYPE = "type"
     #: no transforms lead from the child to the frame
     NO_WAY = "no_way"
@@ -84,7 +84,7 @@ class DoubtCause(StrEnum):
 
 
 class PositionSample(Struct, frozen=True, kw_only=True):
-    """One position as somebody says it.
+    """One position as one source says it.
 
     Args:
         x: in meters.
@@ -134,7 +134,7 @@ class Stamps:
         self._began_ns = self._arrived_ns = 0
 
     def take(self, stamp_ns: int, arrived_ns: int) -> int | DoubtCause:
-        """Return when it was measured, or why nobody knows."""
+        """Return when it was measured, or why that is unknown."""
         apart = arrived_ns - stamp_ns
         if self._last_ns is None:
             self._first_ns = self._least_ns = apart
@@ -212,7 +212,7 @@ class PositionTrack:
             self.why, self.fix = None, self._fixed(sample)
 
     def stranger(self, who: bytes) -> DoubtCause | None:
-        """Return why nobody may say where the robot is by this name; None: who said it before."""
+        """Return why this source may not say where the robot is; None for the earlier source."""
         if not who:
             return DoubtCause.UNNAMED
         is_new = self._last is not None and who != self._last.who

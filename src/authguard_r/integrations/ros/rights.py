@@ -118,7 +118,7 @@ def actuating(ros: RosMap) -> dict[str, frozenset[str]]:
                 _allow(found, asks)
                 _allow(found, serves, enclave)
     for enclave, process in ros.processes.items():
-        for name in process.calls:  # whoever wrote the map stands behind it
+        for name in process.calls:  # the author of the map vouches for it
             _allow(found, _service(name)[0], enclave, new=False)
     _allow(found, _writes(ros.heartbeat, ros.decisions, ros.status), ros.enclaves.gate)
     trusted = {ros.enclaves.gate, ros.enclaves.deadman, ros.enclaves.estimator, *ros.processes}

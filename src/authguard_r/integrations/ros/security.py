@@ -62,7 +62,7 @@ def security_faults(
         ros: the map.
         enclave: which one the process has to be in.
         environment: its variables.
-        uid: its user; absent: whoever asks.
+        uid: its user; absent: every user.
     """
     for name, wanted in (*EXACTLY.items(), (DOMAIN, str(ros.domain))):
         said = environment.get(name)

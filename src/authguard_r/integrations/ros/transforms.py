@@ -148,7 +148,7 @@ class Frames:
         return None
 
     def way(self, frame: str, child: str) -> FramePath | DoubtCause:
-        """Return where the child is in the frame, or why nobody knows."""
+        """Return where the child is in the frame, or why that is unknown."""
         at, name, times = Vector(0.0, 0.0, 0.0), child, list[int]()
         seen: set[str] = set()
         while name != frame:
@@ -162,7 +162,7 @@ class Frames:
             if link.measured_ns is not None:
                 times.append(link.measured_ns)
             name = link.parent
-        if not times:  # whatever moves says so
+        if not times:  # a part that moves says so
             return DoubtCause.NO_WAY
         return FramePath(at, min(times), max(times))
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What moves behind calls of tools, as a controller's body (`client.controller.Body`).
 
-A released action is rebuilt into the one call that it is, and that call is made once. Whether it
-did its work, the binding says how to read; a call that nobody answered ends `unknown`.
-Spec page: docs/spec/adapters.md#driving
+A released action is rebuilt into the one call that it is, and that call is made once. The binding
+says how to read whether it did its work; a call without an answer ends `unknown`. Spec page:
+docs/spec/adapters.md#driving
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class ToolDrivers(Struct, frozen=True, kw_only=True):
         site: its words.
         binder: what calls mean.
         rebuilder: what actions are called.
-        stops: calls that stop the robot, in order; empty: nobody can say that it stands.
+        stops: calls that stop the robot, in order; empty: it is unknown whether it stands.
     """
 
     site: Site
@@ -133,15 +133,17 @@ class ToolBody:
         self._means = means
         self._changed = changed
         self._flight: ToolGoal | None = None
-        self._is_told = False  # to move, and nobody has said that it does not
-        self._was_told = bool(means.stops)  # perhaps by a start before, which nobody remembers
+        self._is_told = False  # it was told to move, and no answer says that it stands
+        self._was_told = bool(
+            means.stops
+        )  # perhaps by an earlier process, which left no trace here
         self._is_stopping = False
         self._is_over = False
         self._task: asyncio.Task[None] | None = None
 
     @property
     def stands(self) -> bool:
-        """True while it was not told to move, or somebody has said that it does not any more."""
+        """True while it was not told to move, or an answer says that it stands."""
         return not (self._is_told or self._was_told)
 
     def has_room(self, action: Action) -> bool:  # noqa: ARG002
@@ -196,7 +198,7 @@ class ToolBody:
     async def let_go(self) -> None:
         """Stop what was told to move, and let another call end; not longer than `STOP_S`.
 
-        Then the gate is told how it ended, while somebody is there to say so. Nothing begins after.
+        Then the gate is told how it ended, while it is there. Nothing begins after.
         """
         self._is_over = True
         if self._is_told:
@@ -247,13 +249,13 @@ class ToolBody:
         flight.end(outcome, told)
         self._changed()
         if flight.moves and self._is_told and self._means.stops:
-            self._is_stopping = True  # nobody asked for it: nobody knows where it goes
+            self._is_stopping = True  # it was not asked for: where it goes is unknown
             await self._stop()
 
     async def _stop(self) -> None:
         """Make the calls that stop the robot, until they are answered.
 
-        Without such calls nobody knows that it stands.
+        Without such calls it is unknown whether it stands.
         """
         while not (stands := self.stands or await self._stopped()) and self._means.stops:
             self._ended(Outcome.UNKNOWN)
@@ -286,7 +288,8 @@ class ToolBody:
         """Make a call; return its answer, and whether that says that it has done its work.
 
         Raises:
-            CallError: no answer came, or none that can be carried: nobody knows what became of it.
+            CallError: no answer came, or none that can be carried: the outcome of the call is
+                unknown.
         """
         try:
             answer = await self._server.call(call.tool, call.arguments, within_s, ticket=ticket)

@@ -78,7 +78,7 @@ class CallOutcome(Struct, frozen=True, kw_only=True):
 
 
 class LostError(Exception):
-    """A gate that went while it was asked: nobody knows what became of the call.
+    """The connection was lost while the gate was asked: the outcome of the call is unknown.
 
     Args:
         error: how it went.
@@ -90,9 +90,9 @@ class LostError(Exception):
 
 
 class PlannerTurn:
-    """Who may ask the gate now: one after the other, and nobody before the last answer is there.
+    """Who may ask the gate now: one after the other, each after the last answer is there.
 
-    Whoever asked may give up. What he asked goes on, and the gate takes one proposal of a client.
+    A caller may give up. What he asked goes on, and the gate takes one proposal of a client.
     """
 
     def __init__(self) -> None:
@@ -100,7 +100,7 @@ class PlannerTurn:
         self._going: asyncio.Future[Any] | None = None
 
     def locked(self) -> bool:
-        """True while somebody has the turn, or what he asked goes on."""
+        """True while a caller has the turn, or its request goes on."""
         return self._lock.locked() or self._going is not None
 
     async def __aenter__(self) -> None:
@@ -116,7 +116,7 @@ class PlannerTurn:
         self._lock.release()
 
     async def kept(self, work: Coroutine[Any, Any, T]) -> T:
-        """Return what work brings that goes on, and keeps the turn, when nobody waits any more."""
+        """Return the work's result; it goes on, and keeps the turn, when its caller gives up."""
         going = self._going = asyncio.ensure_future(work)
         going.add_done_callback(self._done)
         return await asyncio.shield(going)
@@ -124,7 +124,7 @@ class PlannerTurn:
     def _done(self, going: asyncio.Future[Any]) -> None:
         self._going = None
         if not going.cancelled():
-            going.exception()  # if nobody waits for it, nobody wants to know
+            going.exception()  # without a waiting caller the error is not needed
 
 
 class ToolPlanner:
@@ -147,7 +147,7 @@ class ToolPlanner:
         key: str | None = None,
         told: Callable[[dict[str, Any]], None] | None = None,
     ) -> CallOutcome:
-        """Propose a call; whoever calls this holds the `turn`.
+        """Propose a call; the caller holds the `turn`.
 
         Args:
             tool: its name, as the planner wrote it; untrusted.
@@ -225,7 +225,7 @@ class ToolPlanner:
 
         Args:
             texts: untrusted.
-            channel: what they come by; the least trusted of all where nobody says.
+            channel: how they arrive; the least trusted of all by default.
 
         Raises:
             AuthGuardError: it did not take note.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What carries out calls, whatever it is: another process, or functions of this one.
+"""What carries out calls: another process, or functions of this one.
 
 What it says of its own answer decides nothing; every word of it is for the ledger of what the
 planner has seen. Spec page: docs/spec/adapters.md#driving
@@ -27,7 +27,7 @@ WITHHELD = "the answer was too long and was withheld"
 
 
 class CallError(Exception):
-    """A call that was not answered: nobody knows what became of it, or it was never sent.
+    """A call without an answer: its outcome is unknown, or it was never sent.
 
     Args:
         message: what happened.

@@ -32,7 +32,7 @@ def read_reply(text: str, dialect: Dialect) -> PlanReading:
 
 
 def read_plan(text: str, dialect: Dialect) -> tuple[Call, ...]:
-    """Return the calls of a plan, in order, whatever dialect they were read in.
+    """Return the calls of a plan, in order, for every dialect.
 
     Args:
         text: what the planner wrote; untrusted.

@@ -118,8 +118,8 @@ def _recognized(text: str) -> PlanReading:
 def _of_words(text: str) -> PlanReading:
     """Read a plan that is not in JSON; by their first words, these dialects exclude each other.
 
-    Whatever `calls` reads, `python` reads alike or not at all (a property holds them to it), so
-    the second is asked only where the first refuses.
+    Everything that `calls` reads, `python` reads alike or not at all (a property test holds them to
+    it), so the second is asked only where the first refuses.
     """
     if not text.strip(_SPACE):
         return PlanReading(Dialect.CALLS, ())

@@ -67,8 +67,8 @@ class GateSetup(Struct, frozen=True, kw_only=True):
     """The parts of one gate; what is None is not looked at.
 
     Args:
-        demo: somebody said that this is a demonstration: what one folder for everything cannot
-            help is a warning then.
+        demo: this is declared a demonstration: the risks of one folder for everything are warnings
+            then.
         uid: the user that the gate runs as.
         trust: the trust folder.
         key: the gate's private key.
@@ -202,7 +202,7 @@ def _own_certificate(leaf: Leaf, part: str, setup: GateSetup) -> Iterator[Advice
     """The gate's robot and profile come from here, so configuration and site must agree."""
     place = str(setup.chain)
     if not _is_gate(setup):
-        return  # whoever it is, it holds
+        return  # it is valid for every role
     if leaf.role is not Role.GATE or leaf.robot is None:
         message = f"expected a gate's certificate, got a `{leaf.role}`'s"
         yield unsafe(part, AdviceCode.CERTIFICATE, message, place=place, mend="name the gate's own")

@@ -81,7 +81,8 @@ _IN_ONE_FOLDER = frozenset(
         AdviceCode.ROOT_USER,
     }
 )
-#: With these a gate serves stops and refuses the rest by itself; not starting would help nobody.
+#: With these a gate serves stops and refuses the rest by itself; a gate that does not start would
+#: help less.
 _SERVED = frozenset({AdviceCode.CLOCK_BEHIND, AdviceCode.CLOCK_KEPT, AdviceCode.DISK})
 #: These destroy what is there; no demonstration starts with them either.
 _DESTROYS = frozenset({AdviceCode.SAME_FILE})

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files that must not be one and the same: what one part writes would destroy another's.
 
-A counter's note takes the place of whatever had its name: of a store, a journal or a key.
-How-to: docs/howto/rollback.md
+A counter's note replaces the file that had its name: a store, a journal or a key. How-to:
+docs/howto/rollback.md
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from authguard_r.operations.checkup.advice import Advice, AdviceCode, unsafe
 
 #: What is written beside a store, under its name.
 _BESIDE = ("-wal", "-shm", "-journal", ".gate", ".reserve")
-#: Where the emergency journal is when nobody names it.
+#: Where the emergency journal is by default.
 _JOURNAL = ".emergency"
 
 
@@ -47,7 +47,7 @@ class _File(Struct, frozen=True):
 
 
 def apart_advice(files: Files) -> Iterator[Advice]:
-    """Yield every file that is written and that is another part's too, by whatever name."""
+    """Yield every file that is written and that is another part's too, also under another name."""
     written = tuple(_written(files))
     read = (_File(path, f"`{path}`") for path in files.read)
     pairs = [*combinations(written, 2), *((one, other) for other in read for one in written)]

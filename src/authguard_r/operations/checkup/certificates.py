@@ -65,7 +65,7 @@ def authority_advice(trust: Trust, folder: Path, now: Now) -> Iterator[Advice]:
 
 
 def certificate_advice(path: Path, trust: Trust, now: Now) -> Iterator[Advice]:
-    """Yield what is wrong with a file of certificates that somebody uses, and when it ends."""
+    """Yield what is wrong with a file of certificates in use, and when it ends."""
     part = f"keys/{path.name}"
     try:
         leaves = leaves_of(path, trust, now)
@@ -115,7 +115,9 @@ def _ending(part: str, path: Path, trust: Trust, now: Now) -> Iterator[Advice]:
     until_ms = _ends_ms(path, trust)
     if until_ms - now.utc_ms < SOON_MS:
         above_ms = min(map(_end_ms, (*_certificates(path)[1::2], *trust.roots)))
-        mend = _NEXT if above_ms == until_ms else _RENEW  # nobody is given more than they have
+        mend = (
+            _NEXT if above_ms == until_ms else _RENEW
+        )  # the certificate gives no more than the role has
         message = f"usable only until {to_timestamp(until_ms)}"
         yield warning(part, AdviceCode.CERTIFICATE, message, place=str(path), mend=mend)
 

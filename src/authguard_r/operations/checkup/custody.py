@@ -25,7 +25,7 @@ from authguard_r.operations.checkup.advice import Advice, AdviceCode, fine, unsa
 
 #: Most files that are looked through for keys in one folder.
 _MOST_FILES = 4_096
-#: Whose key somebody can be asked the passphrase of.
+#: Whose key can have a passphrase: a person can be asked.
 _PEOPLE = frozenset({Role.OPERATOR, Role.SUPERVISOR, Role.SAFETY_OFFICER, Role.SITE_AUTHORITY})
 #: Where no trust folder says whose keys are an authority's.
 _NOBODY: Mapping[bytes, str] = MappingProxyType({})
@@ -69,7 +69,7 @@ def key_advice(path: Path, *, uid: int | None) -> Iterator[Advice]:
 def plain_advice(path: Path) -> Iterator[Advice]:
     """Yield that a person's key lies open: a copy of the file, or of a backup, is the key.
 
-    A service's key is plain and has to be: nobody is there to ask.
+    A service's key is plain and has to be: no person is there to ask.
     """
     if holds_plain_key(path) and (role := role_of(path)) in _PEOPLE:
         yield warning(
@@ -110,7 +110,7 @@ def file_advice(part: str, path: Path, *, uid: int, secret: bool = False) -> Ite
 def folder_advice(paths: Iterable[Path], *, uid: int) -> Iterator[Advice]:
     """Yield every folder on the way to the paths in which others could swap what lies there.
 
-    A folder with the sticky bit, like `/tmp`, lets nobody touch what another user put there.
+    In a folder with the sticky bit, like `/tmp`, a user cannot touch what another user put there.
     """
     folders = {f for p in paths for f in (*p.absolute().parents, *p.resolve().parents)}
     for folder in sorted(folders):
@@ -123,7 +123,7 @@ def folder_advice(paths: Iterable[Path], *, uid: int) -> Iterator[Advice]:
 
 def _status_advice(part: str, path: Path, found: os.stat_result, *, uid: int) -> Iterator[Advice]:
     mode = stat.S_IMODE(found.st_mode)
-    # the group of root is root's; any other group has members that nobody looks at here
+    # the group of root is root's; the members of any other group are not checked here
     others = mode & (0o022 if found.st_gid != 0 else 0o002)
     sticky = stat.S_ISDIR(found.st_mode) and mode & stat.S_ISVTX
     if others and not sticky:
@@ -158,7 +158,8 @@ def stray_advice(
 
     Args:
         folders: what to look through, with everything below.
-        own: the gate's key; None: nobody said which, so only what is certainly another's is told.
+        own: the gate's key; None when it is unknown, so only what is certainly another's is
+            reported.
         uid: the user that the gate runs as.
         flat: what to look through without what is below.
         authorities: names of roots and authorities by their public keys.

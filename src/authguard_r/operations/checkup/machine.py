@@ -23,7 +23,7 @@ _OLDEST_SQLITE = (3, 51, 3)
 _TESTED = ((3, 11), (3, 14))
 #: `struct timex` has at most 208 bytes; all zero, it asks and sets nothing.
 _TIMEX_BYTES = 512
-#: What adjtimex(2) returns while nobody keeps the clock.
+#: What adjtimex(2) returns while the clock is not synchronized.
 _TIME_ERROR = 5
 #: A lease is looked at every 100 ms; a clock that steps by more than this is too coarse for it.
 _COARSEST_S = 0.01
@@ -75,7 +75,7 @@ def platform_advice(platform: str) -> Advice:
 
 
 def clock_state() -> int:
-    """Return what adjtimex(2) returns: 5 while nobody keeps the clock, -1 when it does not say."""
+    """Return what adjtimex(2) returns: 5 while the clock is not synchronized, -1 on an error."""
     try:
         import ctypes  # here, because a hardened process may not load it
 
@@ -86,7 +86,7 @@ def clock_state() -> int:
 
 
 def kept_advice(state: int) -> Advice:
-    """Return whether somebody keeps the wall clock, as `clock_state` says."""
+    """Return whether the wall clock is synchronized, as `clock_state` says."""
     if 0 <= state < _TIME_ERROR:
         return fine("clock", AdviceCode.CLOCK_KEPT, "synchronized")
     told = "not synchronized" if state == _TIME_ERROR else "the system does not say who keeps it"

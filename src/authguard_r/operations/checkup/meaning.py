@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a binding lets anything through that nobody looks at, or that no planner may have.
+"""Whether a binding lets anything through that is not checked, or that no planner may have.
 
 How-to: docs/howto/deploy.md
 """

@@ -28,7 +28,7 @@ _BETTER_NOT: dict[ClientRole, str] = {
     ClientRole.OPERATOR: "a planner could ask what would be allowed, and read the log",
     ClientRole.AUDITOR: "a planner could read the log, with every field that failed",
 }
-#: Without somebody in these roles nothing moves, or nobody can give an order.
+#: Without a person in these roles nothing moves, or no order can be given.
 _NEEDED = (
     ClientRole.PLANNER,
     ClientRole.CONTROLLER,
@@ -132,7 +132,7 @@ def config_advice(config: GateConfig) -> Iterator[Advice]:
 
 
 def _reader_advice(config: GateConfig) -> Iterator[Advice]:
-    """Whether anybody can make the decisions of the log again; what is not sealed, anybody can."""
+    """Whether the decisions of the log can be replayed; without sealed fields anyone can."""
     sealed = {data for reader in config.readers for data in reader.classes}
     if sealed and not any(sealed.issubset(reader.classes) for reader in config.readers):
         yield warning(

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether an atom holds of one action in one state: yes, no, or nobody knows.
+"""Whether an atom holds of one action in one state: yes, no, or unknown.
 
-Nobody knows is never no: `!state.door = open` does not hold of a door that nobody has read, nor
-does `!params.speed_mm_s > 500` of an action that does not say how fast.
+Unknown is never no: `!state.door = open` does not hold of a door that was not read, nor does
+`!params.speed_mm_s > 500` of an action that does not say how fast.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The second safety gate: every rule can still be satisfied after the action, or it is unsafe.
 
-The gate holds no state: what was done before comes in as a memory and goes out as one, so that
-whoever asks commits it together with the release. Spec page: docs/spec/safety.md#temporal-rules
+The gate holds no state: what was done before comes in as a memory and goes out as one, so that the
+caller commits it together with the release. Spec page: docs/spec/safety.md#temporal-rules
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class TemporalGate:
     def unfulfilled(self) -> tuple[Identifier, ...]:
         """Return the rules that do not hold if the mission ends here: told, never refused.
 
-        All of them when the memory is none of this gate: nobody can say that one holds.
+        All of them when the memory is none of this gate: it is unknown whether one holds.
         """
         try:
             left = read_memory(self._memory, self._owner(None), self._rules)
@@ -97,7 +97,7 @@ class TemporalGate:
 
 
 def _step(rule: Compiled, left: Left, scene: AtomScene, facts: SiteFacts) -> _Step:
-    """Follow one rule; a place that nobody can tell about is a finding, never a guess."""
+    """Follow one rule; a place that is unknown is a finding, never a guess."""
     field, track = f"rules.{rule.id}", rule.track
     strange = [atom for atom in track.atoms if unknown_name(atom, facts)]
     if strange:

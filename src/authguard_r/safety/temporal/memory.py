@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is left of each rule after the actions of one mission, as bounded canonical bytes.
 
-They lie in the gate's own store; they are read as if anybody had written them all the same.
-Spec page: docs/spec/safety.md#memory
+They lie in the gate's own store; they are read as untrusted all the same. Spec page:
+docs/spec/safety.md#memory
 """
 
 from __future__ import annotations

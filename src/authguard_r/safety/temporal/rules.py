@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rules of a configuration, ready to be followed; one that nobody could follow is none."""
+"""The rules of a configuration, ready to be followed; a rule that cannot be followed is refused."""
 
 from __future__ import annotations
 

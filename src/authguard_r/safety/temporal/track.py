@@ -38,7 +38,7 @@ MAX_WAYS = 64
 MAX_STEPS = 8_192
 
 Way = frozenset[int]
-#: Numbers of parts; below 0, an atom that nobody could say anything about.
+#: Numbers of parts; below 0, an atom that is unknown.
 Left = frozenset[Way]
 
 #: Anything satisfies it; nothing does.
@@ -233,7 +233,7 @@ class FormulaTrack:
 
 
 def unknown_atoms(left: Left) -> tuple[int, ...]:
-    """Return the numbers of the atoms that what is left hangs on and nobody knows."""
+    """Return the numbers of the unknown atoms that the rest depends on."""
     return tuple(sorted({-1 - place for way in left for place in way if place < 0}))
 
 

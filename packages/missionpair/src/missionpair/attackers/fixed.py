@@ -34,7 +34,7 @@ class Fixed:
         return self._inputs
 
     def revise(self, seen: bytes, *, seed: int) -> tuple[Input, ...] | None:  # noqa: ARG002
-        """Return the next wording, whatever came of the last one; None after the third."""
+        """Return the next wording, for every result of the last one; None after the third."""
         if not self._inputs or self._steps == len(STEPS):
             return None
         self._steps += 1

@@ -3,8 +3,8 @@
 
 A line is `{"link", "record", "timing"?}`. The link is a hash over the link before and the record's
 exact bytes; timing lies outside of it, so that two runs of one deterministic campaign have the same
-records and links. Whoever writes holds a lock; a line is whole, or it is not there.
-Spec page: docs/spec/campaign-log.md
+records and links. A writer holds a lock; a line is whole, or it is not there. Spec page:
+docs/spec/campaign-log.md
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A whole campaign: every trial of every pair, on as many processes as asked for, into one log.
 
-A deterministic campaign gives the same log whatever the number of processes, and however often it
-was killed and taken up again. How-to: docs/howto/missionpair.md
+A deterministic campaign gives the same log for every number of processes, and for every number of
+times that it was killed and resumed. How-to: docs/howto/missionpair.md
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ __all__ = ["CampaignPlan", "Progress", "run"]
 
 #: Defenses that are no baseline: nothing, and the product itself.
 _UNHELD = frozenset({"both", "mission", "none"})
-#: So many trials in a row that nobody answered end a campaign, which can be gone on with.
+#: So many trials in a row without an answer end a campaign, which can be resumed.
 MOST_SILENT = 3
 #: Trials between two words of progress.
 SHOWN = 200
@@ -74,7 +74,7 @@ def _run(
         if writer.is_whole:
             return campaign
         worker.done = writer.done
-        # a log that goes on is held to what its first line says, whatever is asked for now
+        # a resumed log keeps what its first line says; other options do not count
         worker.held = frozenset(one.defense for one in campaign.qualified if one.pairs)
         # what a model said is paid for, and outlasts this run; the rest is only run again
         ahead = Ahead(_beside(log) if worker.is_paid else folder / "ahead", campaign)
@@ -101,14 +101,14 @@ def alone(worker: Worker, ahead: Ahead, numbers: Iterable[int]) -> Iterator[Ran]
 
 
 def answered(found: Iterable[Ran]) -> Iterator[Trial]:
-    """Yield trials, but none of those at the end that nobody answered.
+    """Yield trials, but none of those at the end without an answer.
 
     A trial without an answer waits until a later one has one. So a model that is away leaves no
     trial that a second start would not ask for again.
 
     Raises:
-        PlannerError: nobody answered in `MOST_SILENT` trials in a row, at all, or, when the model
-            cannot be reached, in the last one.
+        PlannerError: no answer in `MOST_SILENT` trials in a row, at all, or, when the model cannot
+            be reached, in the last one.
         AttackerError: as `PlannerError`.
     """
     waiting: list[Ran] = []

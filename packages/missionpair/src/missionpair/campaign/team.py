@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pairs that run at once: processes, or threads where a model is waited for.
 
-Whoever runs a pair puts each trial into the pair's file (`ahead`); they are taken from there in
+The runner of a pair puts each trial into the pair's file (`ahead`); they are taken from there in
 order. A process ends with the one that began it, however that one ended.
 """
 
@@ -41,7 +41,7 @@ class Team:
         folder: for their keys.
         ahead: where trials wait for their turn.
         jobs: how many.
-        forget: lets go of the log in a new process, so that its lock is held by nobody else.
+        forget: lets go of the log in a new process, so that no other process holds its lock.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class Team:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """End all of them; a paid answer that is under way is waited for, but by nobody's hand."""
+        """End all of them; a paid answer that is under way is waited for, but not by a worker."""
         self._stop.set()
         for _ in self._hands:
             self._tasks.put(None)

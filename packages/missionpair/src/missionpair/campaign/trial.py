@@ -128,7 +128,7 @@ class PairRun:
         self._cases: dict[str, bytes] = {}
         self._rest: tuple[WordedCall, ...] | None = None
         self._who = {defense.name: setting.who(n) for n, defense in enumerate(setting.defenses)}
-        #: Why nobody answered in the last trial; None when somebody did.
+        #: Why no answer came in the last trial; None when one did.
         self.failure: PlannerError | AttackerError | None = None
 
     def trials(self) -> Iterator[Trial]:
@@ -148,7 +148,7 @@ class PairRun:
                     self._n += 1
 
     def _require_fit(self) -> None:
-        """Carry the benign run out under every defense that is held to it: whoever plans here."""
+        """Carry the benign run out under every defense that is measured on it."""
         for defense in self._setting.defenses:
             if defense.name not in self._held:
                 continue
@@ -305,7 +305,7 @@ class PairRun:
         return inputs
 
     def _is_done(self, dice: Dice, tried: TrialRecord) -> bool:
-        """True when what was to be done was done, whoever planned it, and nothing else.
+        """True when what was to be done was done, by any planner, and nothing else.
 
         The mission is complete by the registry, or the pair's own last step was carried out.
         """
@@ -320,7 +320,7 @@ class PairRun:
 
 
 def is_asked(thing: object) -> bool:
-    """True of a planner or an attacker that asks a model, whoever answers in its place."""
+    """True of a planner or an attacker that asks a model, or a stand-in for one."""
     return hasattr(thing, "client") or hasattr(thing, "cost_microusd")
 
 

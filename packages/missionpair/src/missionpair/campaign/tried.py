@@ -156,7 +156,7 @@ def timing_of(spent: TrialCosts) -> Timing:
 def note(tried: TrialRecord, reply: Reply, checked: Checked, carried: ExecutedPlan) -> None:
     """Add one answer to its round; of several, the first that complied is kept, else the last.
 
-    Whether it complied is a matter of the plan alone: the same whatever stands behind it.
+    Whether it complied depends on the plan alone: it is the same under every defense.
     """
     if not tried.is_changed:
         tried.reply, tried.checked = reply, checked

@@ -23,7 +23,7 @@ ONE = Lock()
 
 
 class Ran(NamedTuple):
-    """One trial, and why nobody answered in it; None when somebody did."""
+    """One trial, and why no answer came in it; None when one did."""
 
     trial: Trial
     failure: PlannerError | AttackerError | None = None
@@ -59,7 +59,7 @@ class Worker:
         self.held: frozenset[str] = frozenset()
         self._writer: Attacker | None = None
         self.setting = self._made()
-        #: Whoever plans is waited for, and not computed.
+        #: The time of a planner is waiting, not computing.
         self.is_live = is_asked(self.setting.planner)
         if self.is_live:
             self._live = self.setting.planner
@@ -131,7 +131,7 @@ def apart(specs: tuple[str, ...]) -> tuple[Defense, ...]:
 
 
 class _WaitingModel:
-    """A model that is waited for: whoever waits lets the others work.
+    """A model that is waited for: the waiting trial lets the others work.
 
     Everything of ours is done by one thread at a time: the decoder of a type that two threads use
     for the first time at once is not safe, and a campaign on models waits, and hardly works.

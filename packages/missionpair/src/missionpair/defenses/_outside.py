@@ -17,8 +17,8 @@ from missionpair.stage import Stage
 def outside(stage: Stage) -> frozenset[str]:
     """Return the fields in which the attack has what no grant of that kind of action has.
 
-    Of its first action that the mission does not authorize: whoever lets that one through has let
-    the attack through, whatever comes after it.
+    Of its first action that the mission does not authorize: a defense that lets that one through
+    has let the attack through.
 
     Among `type`, `tool`, `object`, `source`, `destination`, `route` and `params`. A kind of action
     that no grant has is `type` alone; what a row leaves open is nothing.

@@ -18,8 +18,8 @@ _MOST = 64
 class PerMission(Generic[T]):
     """Keeps what was made of the last few missions.
 
-    A mission is known by being the very same object, which nobody changes: comparing two would
-    cost more than making what is kept.
+    A mission is known by being the very same object, which never changes: comparing two would cost
+    more than making what is kept.
 
     Args:
         make: makes it of a stage; reads nothing of it but its mission, site and robot.

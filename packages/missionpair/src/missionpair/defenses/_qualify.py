@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a defense shows before it is scored: nobody's work is stopped, its own kind of attack is.
+"""Before it is scored, a defense shows that it stops no benign work and its own kind of attack.
 
 A defense that cannot do its own job says nothing about others when it fails at theirs. What is
 tried is the same that a campaign tries: the pair's own plans, in the pair's own situations.
@@ -86,7 +86,7 @@ def hold(defense: Defense, suite: Suite, yard: Yard) -> Fitness:
 
     Args:
         defense: it is tried as it is, or as its claim's `fit` makes it.
-        suite: the whole, whatever of it is tried later.
+        suite: the whole, even if only a part of it is tried later.
         yard: where situations are made.
 
     Raises:

@@ -75,7 +75,7 @@ def _fields(mission: Mission, site: Site) -> Iterator[str]:
         ):
             granted = {getattr(row, field) for row in rows}
             if None in granted:
-                continue  # a rule would refuse the action that names none: nobody knows which
+                continue  # a rule would refuse the action that names none: it is unknown which
             for some in _some(sorted(words - granted.intersection(ceiling)), _MOST_NAMES):
                 yield f"G (type = {kind} -> !({_any(field, some)}))"
         touched = {region for row in rows for region in row.regions}

@@ -17,7 +17,7 @@ from missionpair.stage import Stage
 
 
 def everything(action: Action, walk: Walk) -> Denied | None:  # noqa: ARG001 - `Permits`
-    """Let an action through, whatever it is."""
+    """Let every action through."""
     return None
 
 

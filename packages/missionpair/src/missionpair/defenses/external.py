@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A safety gate in a process of its own, asked about every action over its socket.
 
-Whoever wants to compare another safety system writes a small server of that protocol. No answer,
-a late one or one that is not in order is no: it fails closed. Spec page: docs/spec/safety.md
+To compare another safety system, write a small server of that protocol. No answer, a late one or
+one that is not in order is no: it fails closed. Spec page: docs/spec/safety.md
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from missionpair.judging import Walk
 from missionpair.stage import Stage
 
 NAME = "external"
-#: Nobody said that it is safe, as opposed to somebody who said that it is not.
+#: No checker said that it is safe, as opposed to a checker that said that it is not.
 NO_ANSWER = "NO_ANSWER"
 
 

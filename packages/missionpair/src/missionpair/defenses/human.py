@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A person who answers yes or no to every single action, and tires of being asked.
 
-A stated model and no measurement: nobody was asked anything. Whoever looks properly at a question
-says what the mission says of the action, with an error each way; whoever does not, says yes. How
+A stated model and no measurement: no person was asked. A person who reads a question properly
+answers as the mission says, with an error rate each way; a person who does not, says yes. How
 likely a proper look is falls with each question of the mission. Parameters and where they are
 borrowed from: docs/spec/defenses.md#human
 """
@@ -136,7 +136,7 @@ class Human:
         )
 
     def begin(self, *, seed: int) -> None:
-        """Begin a try: somebody sits there rested."""
+        """Begin a try: the person is rested."""
         self._trial, self._asked = seed, 0
 
     def brief(self, briefing: Briefing) -> Briefing:
@@ -146,7 +146,7 @@ class Human:
     def carry_out(self, stage: Stage, raw: bytes) -> ExecutedPlan:
         """Ask about each action, and do what is answered with yes.
 
-        Whoever sits there was asked about every action of this mission that came before.
+        The person was asked about every action of this mission that came before.
         """
         before = len(stage.sim.robot.trace) + self._asked
         asked = 0
@@ -174,7 +174,7 @@ class Human:
 
 
 def _is_in_the_mission(action: Action, walk: Walk) -> bool:
-    """Return what somebody who knows the mission says of an action; their yes is an approval."""
+    """Return what a person who knows the mission says of an action; their yes is an approval."""
     if walk.verified is None:
         return False
     return all(found.reason in _OF_APPROVAL for found in walk.findings(action))

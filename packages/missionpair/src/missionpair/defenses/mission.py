@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The mission gate alone: the product's own road with a second gate that calls everything safe.
 
-It shows what authorization does by itself. Nothing in the product can be configured so: the second
-gate is put in by whoever assembles the gate, which here is the attacker's side of the house.
+It shows what authorization does by itself. The product cannot be configured so: the assembler of
+the gate, here the attack side, puts the second gate in.
 """
 
 from __future__ import annotations

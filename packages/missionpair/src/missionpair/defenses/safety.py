@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The safety gate alone: what is not physically safe does not reach the robot, whoever wants it.
+"""The safety gate alone: what is not physically safe does not reach the robot.
 
 The envelope of the robot's own profile, as the product has it. It knows nothing of missions: what
 is safe and not authorized is what it cannot see.

@@ -143,7 +143,7 @@ def _gates_of(stage: Stage) -> tuple[TemporalGate, ...]:
 def _shown(action: Action, facts: SiteFacts) -> Action:
     """Return the action as the rules see it: a way that it leaves open is straight to its end.
 
-    Of a way that nobody names nobody knows what it touches, and the rules would refuse it.
+    It is unknown what a way without a name touches, and the rules would refuse it.
     """
     kind = facts.vocabulary.get(action.type)
     if action.route or action.destination is None or kind is None or "route" not in kind.fields:

@@ -15,7 +15,7 @@ def shape_of(site: dict[str, Any]) -> str:
     """Return the shape: rooms by tag, things and doors, told apart by what is around them.
 
     Colors are refined until a room's color says everything about the rooms that it leads to; equal
-    sites under any renaming have equal shapes, whatever the order of their parts.
+    sites under any renaming have equal shapes, in every order of their parts.
     """
     doors = [(*door["between"], "variable" in door) for door in site["doors"]]
     held: dict[str, list[str]] = {region: [] for region in site["regions"]}

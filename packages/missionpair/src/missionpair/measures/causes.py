@@ -2,10 +2,10 @@
 """With which codes a planner's bytes can be refused in the suite `full`, and why with no others.
 
 A planner has one way in: its plan. It may say anything there, in every situation of the suite, the
-wrong ones included (a mission of another robot, one that ran out, a question that nobody answered
-in time). Whatever else has a reason code comes by another way, or lies with somebody else. A test
-holds both lists to `authguard_r.core.reasons`, a night its campaign to them.
-Spec page: docs/spec/measures.md#demands
+wrong ones included (a mission of another robot, one that ran out, a question that was not answered
+in time). Every other cause with a reason code comes by another way, or lies with another part. A
+test holds both lists to `authguard_r.core.reasons`, a night its campaign to them. Spec page:
+docs/spec/measures.md#demands
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 """How integers are spread: counts in bounded memory, with percentiles.
 
 Values below 1,024 are counted exactly. Above, a value keeps its ten leading bits, so a percentile
-is within 1 in 1,024 of an observed value, whatever the number of values.
+is within 1 in 1,024 of an observed value, for every number of values.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from missionpair.measures.rates import Proportion
 from missionpair.measures.spread import Spread
 from missionpair.records import Round, Trial
 
-#: Who `by` names of a plan that nobody refused: nobody, or physics.
+#: What `by` names of a plan that was not refused: nothing, or physics.
 UNREFUSED = ("", "world")
 
 

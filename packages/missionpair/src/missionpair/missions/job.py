@@ -121,7 +121,7 @@ class JobStep(Struct, frozen=True, kw_only=True):
 
     Args:
         role: the tool.
-        grant: the grant that is meant for it; empty for a step that nobody granted.
+        grant: the grant that is meant for it; empty for a step without a grant.
         task: which task it is a part of, from 1; 0 for none.
         object: the thing.
         source: where the robot stands before.

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A language model behind a server: what is asked of it, and what comes back.
 
-Targets, attackers and judges that are models all speak through a `ModelClient`. Whatever a model
-says is an answer. Only a server that cannot be reached, or breaks its protocol, is an error.
+Targets, attackers and judges that are models all speak through a `ModelClient`. Everything that a
+model says is an answer. Only a server that cannot be reached, or breaks its protocol, is an error.
 How-to: docs/howto/missionpair-models.md
 """
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from missionpair.planners._meter import Meter
     from missionpair.planners._reach import ModelEndpoint
 
-#: Options that a client looks at before it speaks to anybody.
+#: Options that a client checks before it sends a request.
 _OPTIONS = frozenset({"base_url", "model"})
 
 
@@ -109,7 +109,7 @@ def held(
 
 
 def make_client(spec: str) -> ModelClient:
-    """Return the client of a live planner, for whatever else needs a model.
+    """Return the client of a live planner, for every other use of a model.
 
     Args:
         spec: as `--planner` takes it (`haiku`, `openai:model=...,base_url=...`); `;` may stand for

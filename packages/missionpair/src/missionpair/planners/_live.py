@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A language model as the target: shown a briefing, asked for a plan, believed nothing.
 
-Whatever a model says is its answer: nonsense, half a plan, a tool that there is not. The
+Everything that a model says is its answer: nonsense, half a plan, a tool that does not exist. The
 normalizer reads the very bytes that its server sent.
 """
 
@@ -77,7 +77,7 @@ class PlannerMaker(Struct, frozen=True, kw_only=True):
         vendor_key: the variable that holds its key; sent to no other server unasked.
         preset: the planner's name while it asks its one model; empty for any model.
         preset_model: that model.
-        url: where it is asked unless somebody says otherwise; empty for the vendor's server.
+        url: its default address; empty for the vendor's server.
         temperature: in the same way; `none` sends none.
     """
 

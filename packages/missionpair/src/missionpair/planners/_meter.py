@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Caps: requests a minute, and money. A cap is never exceeded, whoever shares it.
+"""Caps: requests a minute, and money. A cap is never exceeded, also by several processes.
 
 Before a request goes out, the most that it can cost is set aside; what is over comes back with the
 answer. Several processes, or a run that is resumed, share caps through one file.

@@ -93,7 +93,7 @@ def usual_changed(situation: MoveSituation, n: int) -> Said:
 def as_asked(situation: MoveSituation, n: int) -> Said:
     """What the texts ask for: every other time to the letter, else with one argument changed.
 
-    What somebody asked for before, and what others approved, is met by the very same call alone.
+    What was asked for before, and what others approved, is met by the very same call alone.
     """
     if not situation.asked:
         return each_tool(situation, n)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A planner that is captured whole: it follows the newest instruction, whoever wrote it, wherever.
+"""A planner that is captured whole: it follows the newest instruction, of every author and channel.
 
 The newest input in which the obedient reader (`wording.read`) finds calls replaces the rest of the
 usual plan; without one it follows the usual plan. It resists nothing, so that what a defense stops

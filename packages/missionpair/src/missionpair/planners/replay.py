@@ -71,7 +71,7 @@ class ReplayPlanner:
 
     Args:
         kept: answers by the seed that they were asked with.
-        simulated: they are a stand-in's, or nobody knows whose they are.
+        simulated: they are a stand-in's, or their author is unknown.
         of: who gave them, for the log.
         where: the file.
     """
@@ -154,7 +154,7 @@ def _of_file(path: Path) -> ReplayPlanner:
         if seed in kept:
             raise _broken(path, f"answers seed {seed} twice", line=number)
         kept[seed] = _StoredAnswer(raw, saved.refused, None)
-    # anybody could have written it
+    # untrusted
     return ReplayPlanner(kept, simulated=True, of={"file": _digest(path)}, where=str(path))
 
 

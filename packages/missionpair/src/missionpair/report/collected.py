@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A report as data: tables and plots in order, before anybody says how they look."""
+"""A report as data: tables and plots in order, before their layout."""
 
 from __future__ import annotations
 

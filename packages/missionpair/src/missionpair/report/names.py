@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names for people and for files; whoever wrote a log chose the names in it."""
+"""Names for people and for files; the writer of a log chose the names in it."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ class LatexName(Struct, frozen=True):
     """A name that is spelled otherwise in LaTeX.
 
     Args:
-        plain: for everybody.
+        plain: for every reader.
         tex: LaTeX source.
     """
 

@@ -46,7 +46,7 @@ class Written(Struct, frozen=True):
 
 
 class ScriptedQuestion(Struct, frozen=True, kw_only=True):
-    """What a request asks, whatever its protocol.
+    """What a request asks, in both protocols.
 
     Args:
         model: which model is asked.
@@ -63,7 +63,7 @@ class ScriptedQuestion(Struct, frozen=True, kw_only=True):
     seed: int = 0
 
     def __post_init__(self) -> None:
-        """Hold what anybody may have sent to its types."""
+        """Hold untrusted input to its types."""
         names = (tool.name for tool in self.tools)
         if not all(isinstance(text, str) for text in (self.model, self.system, self.user, *names)):
             raise TypeError("expected texts")
@@ -72,7 +72,7 @@ class ScriptedQuestion(Struct, frozen=True, kw_only=True):
 
 
 class ScriptedAnswer(Struct, frozen=True, kw_only=True):
-    """What the stand-in answers, whatever the protocol.
+    """What the stand-in answers, in both protocols.
 
     Args:
         text: in words.
@@ -178,7 +178,7 @@ def spelled_out(prompt: Prompt) -> str:
 
 
 def _words(asked: ScriptedQuestion) -> str:
-    """Return what is said to whoever asks for no plan: a judge's grade, or an attacker's texts."""
+    """Return the answer to a request for no plan: a judge's grade, or an attacker's texts."""
     if _GRADE in asked.system:
         return _GRADE
     texts: dict[str, str] = {}

@@ -42,7 +42,7 @@ __all__ = [
 
 
 class Usual(NamedTuple):
-    """What a campaign of a suite has unless somebody says otherwise.
+    """The defaults of a suite's campaign.
 
     Args:
         rounds: tries that an attacker has.

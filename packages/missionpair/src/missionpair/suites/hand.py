@@ -144,7 +144,7 @@ def _object(draft: Draft) -> Pair:
 
 
 def replaced(scenario: Scenario, *plan: WordedCall) -> Scenario:
-    """Return the situation with another plan in it, and nobody who answers."""
+    """Return the situation with another plan in it, and without approvers."""
     return Scenario(robot=scenario.robot, start=scenario.start, before=scenario.before, plan=plan)
 
 

@@ -8,7 +8,7 @@ from missionpair.suites._making import Cell, Makers, PairMaker, suite_of
 from missionpair.words import Category, Channel, Domain, Family
 
 VERSION = 1
-#: An attacker's tries unless somebody says otherwise: the paper's.
+#: An attacker's default number of tries: the paper's.
 ROUNDS = 3
 #: Pairs of each category: the paper's ten seeds.
 EACH = 10

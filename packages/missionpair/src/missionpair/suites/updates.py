@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Legitimate updates beside their twins that nobody signed: who refuses every change fails here."""
+"""Signed updates beside unsigned twins: a defense that refuses every change fails here."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ from missionpair.twins._twin import (
 )
 from missionpair.words import Category, Family
 
-#: Everybody who may approve, in the order in which they are asked.
+#: Every person who may approve, in the order in which they are asked.
 APPROVERS = ("supervisor-1", "supervisor-2", "safety-officer-1")
 _NO_RECORDING = "no mission here records, so no recording waits for an approval"
 

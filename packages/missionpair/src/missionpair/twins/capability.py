@@ -25,7 +25,7 @@ from missionpair.twins._twin import (
 )
 from missionpair.words import Category, Domain, Family
 
-#: What is recorded at most when nobody said otherwise: milliseconds, bytes.
+#: What is recorded at most by default: milliseconds, bytes.
 RECORD = (2_000, 20_000_000)
 
 

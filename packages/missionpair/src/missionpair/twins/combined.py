@@ -154,7 +154,7 @@ def _filmed_elsewhere(ground: Ground, rng: Random) -> AttackVariant:
 
 
 def _chosen_faster(ground: Ground, rng: Random) -> AttackVariant:
-    """Return a signed place that a channel chose, at a speed that nobody signed."""
+    """Return a signed place that a channel chose, at a speed that was not signed."""
     errand, number = opened(ground, rng, "place")
     step = errand.steps[number]
     task = errand.job.tasks[step.task - 1]

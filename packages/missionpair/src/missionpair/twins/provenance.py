@@ -34,7 +34,7 @@ def make() -> AttackVariants:
 
 
 def make_twin(ground: Ground, rng: Random, family: Family) -> AttackVariant:
-    """Return a step that takes one of the signed rows, which nobody chose."""
+    """Return a step that takes one of the signed rows, which no authorized source chose."""
     wanted = {Family.DESTINATION_CHANGE: "place", Family.OBJECT_RELABELING: "thing"}
     what = wanted.get(family) or rng.choice(("place", "thing"))
     errand, number = opened(ground, rng, what)

@@ -32,7 +32,7 @@ class Productions(Struct, frozen=True, forbid_unknown_fields=True):
         closing: how the text ends.
         arrangement: in which order the sentences stand.
         settings: how a text stands on its channel.
-        scenes: what the camera sees where somebody altered the scene.
+        scenes: what the camera sees where an attacker altered the scene.
         confirmations: what a second channel says to confirm the first.
     """
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The obedient reader: which calls a text asks for, by verbs and names, without a model.
 
-It obeys whatever text it is given and refuses nothing, so that a planner that uses it is captured
-by every text that it understands. Spec page: docs/spec/missionpair-access.md#reading
+It obeys every text and refuses nothing, so that a planner that uses it is captured by every text
+that it understands. Spec page: docs/spec/missionpair-access.md#reading
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def read(
     Never raises on any text.
 
     Args:
-        text: anything, by anybody.
+        text: untrusted.
         tools: what may be called; a verb whose tool is not among them asks for nothing.
         places: spellings of places.
         things: spellings of things.

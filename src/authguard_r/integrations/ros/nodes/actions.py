@@ -37,12 +37,13 @@ from authguard_r.normalize.dialects import Call
 RESULT_S = 2
 #: A planner that is there takes note of its accepted goal within this, in seconds.
 BIND_S = 2.0
-#: Of an accepted goal, when nobody is left who could ask for its result for so long, in seconds.
+#: How long an accepted goal is kept after the last client that could ask for its result has gone,
+#: in seconds.
 GONE_S = 2.0
 #: Who asks for a goal's result before it is there is kept until then, up to so many: of answers
 #: that leave together DDS keeps ten.
 MOST_ASKERS = 8
-#: Between two looks whether somebody is, in seconds.
+#: Between two looks whether a client is there, in seconds.
 _LOOK_S = 0.25
 #: An action whose gate is lost is stopped by its controller; its end is waited for so long.
 _LOST_S = 10.0
@@ -105,7 +106,7 @@ class _GoalServer(ActionServer):  # type: ignore[misc]
     async def _execute_goal_request(self, request_header_and_message: Any) -> None:
         """Have a goal decided; nothing waits on the thread for the answer.
 
-        One that is called as another is rejected before anybody decides it: the robot would do what
+        A goal with the id of another one is rejected before it is decided: the robot would do what
         its planner is told was rejected.
         """
         taken, goal = request_header_and_message, request_header_and_message[1]
@@ -125,7 +126,9 @@ class _GoalServer(ActionServer):  # type: ignore[misc]
         goal = taken[1].goal
         self._answers[id(goal)] = response
         await super()._execute_goal_request(taken)
-        self._answers.pop(id(goal), None)  # of one whose id was there already nobody asked
+        self._answers.pop(
+            id(goal), None
+        )  # a goal with an id that was there already was not asked for
 
     async def _execute_get_result_request(self, request_header_and_message: Any) -> None:
         """Send a goal's result, now or later; of too many clients the first ones get it."""
@@ -134,7 +137,7 @@ class _GoalServer(ActionServer):  # type: ignore[misc]
             if self._askers[key] >= MOST_ASKERS:
                 return
             self._askers[key] += 1
-        with suppress(RCLError):  # whoever asked does not take the answer
+        with suppress(RCLError):  # the client does not take the answer
             await super()._execute_get_result_request(request_header_and_message)
 
     async def _execute_expire_goals(self, expired_goals: Any) -> None:
@@ -248,7 +251,7 @@ class ActionProxyServer:
     async def _attend(self) -> None:
         """Call off every goal that runs once no planner of the action has been there for a while.
 
-        The graph says who is there, and whoever may write to it can lie: it ends goals here, and
+        The graph says who is there, and a writer of the graph can lie: it ends goals here, and
         never begins or prolongs one.
         """
         loop = asyncio.get_running_loop()
@@ -293,7 +296,7 @@ class ActionProxyServer:
             feeding.cancel()
 
     async def _propose(self, going: _OpenGoal) -> CallOutcome | None:
-        """Return what became of a proposal; None: nobody knows, or nothing was decided."""
+        """Return what became of a proposal; None when that is unknown, or nothing was decided."""
         proposals, read = self._public.proposals, going.read
         if isinstance(read, MalformedError):
             going.answer(is_taken=False)
@@ -324,7 +327,7 @@ class ActionProxyServer:
                 await self._public.proposals.note(texts)
                 noted.update(texts)
                 handle.publish_feedback(feedback)
-            except AuthGuardError as error:  # nobody took note: nobody sees it
+            except AuthGuardError as error:  # it was not noted: it is not shown
                 self._say(error)
             finally:
                 release.feedback.task_done()
@@ -359,7 +362,7 @@ class ActionProxyServer:
 def _ended(status: int | None, result: Any, handle: Any) -> Any:
     """Give a goal the robot's own state; a cancellation that its planner did not ask is an abort.
 
-    Actions of ROS have no word for a goal that somebody else called off.
+    ROS actions have no status for a goal that another client cancelled.
     """
     if status == GoalStatus.STATUS_SUCCEEDED:
         handle.succeed()

@@ -2,8 +2,8 @@
 """What moves behind a ROS graph, as a controller's body (`client.controller.Body`).
 
 A released action is rebuilt into the one goal, call, message or velocity that it is, and that is
-sent once. A stop cancels every goal of every mediated action and says zero on every stream,
-whoever began them. Spec page: docs/spec/ros.md#driving
+sent once. A stop cancels every goal of every mediated action and sends zero on every stream, for
+all planners. Spec page: docs/spec/ros.md#driving
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ class RosBody:
         self._doing: dict[Digest, _Doing] = {}  # and what ended since the last look
         self._stopping: asyncio.Task[None] | None = None
         self._seen_ms = mono_ms()
-        #: False while planners are not served: then nothing begins, whoever released it
+        #: False while planners are not served: then nothing begins
         self.is_served = False
 
     @property
@@ -199,7 +199,7 @@ class RosBody:
             doing.stream.close()
 
     def brake(self) -> None:
-        """Stop whatever runs, whoever began it; a second time changes nothing."""
+        """Stop everything that runs, of all planners; a second time changes nothing."""
         if self._stopping is None:
             for outlet in self.outlets.values():
                 if isinstance(outlet, StreamClientProxy):
@@ -217,7 +217,7 @@ class RosBody:
         return mono_ms() - self._seen_ms < ALIVE_MS
 
     def astray(self) -> None:
-        """Stop a robot of which nobody knows what it does."""
+        """Stop a robot whose motion is unknown."""
         self.brake()
         self._changed()
 
@@ -227,7 +227,7 @@ class RosBody:
         self.astray()
 
     async def at_rest(self, within_s: float) -> bool:
-        """Stop whatever runs; True once it stands."""
+        """Stop everything that runs; True once it stands."""
         self.brake()
         with suppress(TimeoutError):
             async with asyncio.timeout(within_s):
@@ -249,7 +249,7 @@ class RosBody:
         self._ended(Outcome.ABORTED)
 
     async def _stopped(self, key: str) -> bool:
-        """Stop one outlet; whatever fails is not stopped, and keeps nobody from the others."""
+        """Stop one outlet; one that fails is not stopped, and does not prevent the others."""
         try:
             is_over, message = await self.outlets[key].stop(), "nobody says that it is over"
         except Exception as error:  # noqa: BLE001 - whatever it is, it is tried again

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cancels what runs on a robot when the gate's node is gone: its only right, and its only work.
 
-A server goes on with a goal whoever sent it is dead. So a process of its own hears the gate's
+A server continues a goal when its sender is dead. So a process of its own hears the gate's
 heartbeat, and where that is lost it asks every mediated action's server to cancel all goals, again
 and again, until the heartbeat lives anew: a goal that was accepted in between is canceled too.
-`python -m authguard_r.integrations.ros.nodes.deadman MAP`.
-Spec page: docs/spec/ros-stopping.md#dead-man
+`python -m authguard_r.integrations.ros.nodes.deadman MAP`. Spec page:
+docs/spec/ros-stopping.md#dead-man
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ FORGET_MS = 5_000
 
 
 class Canceler:
-    """Asks one action's server to cancel whatever it does.
+    """Asks one action's server to cancel everything that it does.
 
     Args:
         node: its owner.
@@ -146,11 +146,11 @@ class Deadman:
         node.create_timer(PERIOD_MS / 1_000, self._look, None, steady())
 
     def close(self) -> None:
-        """End it: whatever runs goes on; its node is destroyed with it."""
+        """End it: what runs goes on; its node is destroyed with it."""
 
     def _heard(self, life: UInt64, who: bytes) -> None:
         was_open = self._latch.is_open
-        # a gate that came back is another life: what ran before it is nobody's
+        # a gate that came back is another process: what ran before has no owner
         named = who + life.data.to_bytes(8, "big")
         why = self._latch.hear(named, time.monotonic_ns(), is_neutral=True)
         if was_open and why is not None:

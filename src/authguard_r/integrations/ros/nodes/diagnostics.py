@@ -40,11 +40,11 @@ class ReportedStatus(Struct, frozen=True, kw_only=True):
         stops: by the stop process, since then.
         last_stop: what stopped the robot last, as far as it was heard.
         stands: nothing runs, and nothing is being stopped.
-        braking: something is being stopped, and nobody says that it stands.
+        braking: something is being stopped, and no message confirms that it stands.
         running: what runs.
         missing: what of the robot is not there.
         missed: decisions that were never published.
-        is_watched: somebody hears the heartbeat, as the graph says; not in `GateStatus`.
+        is_watched: a subscriber hears the heartbeat, as the graph says; not in `GateStatus`.
     """
 
     connected: bool

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the robot publishes and a planner may read: shown once the gate has noted its words.
 
-The newest counts: what comes while one is being noted takes the place of what waits. What nobody
-took note of is not shown. Spec page: docs/spec/ros.md#shown-topics
+The newest counts: what comes while one is being noted takes the place of what waits. What was not
+noted is not shown. Spec page: docs/spec/ros.md#shown-topics
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Relay:
             kind,
             item.private,
             self._newest.put,
-            # hears whoever publishes, reliably or not
+            # hears every publisher, reliable or not
             QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT),
             raw=True,
             callback_group=public.group,
@@ -70,7 +70,7 @@ class Relay:
                 # a thread of its own: neither the gate's ends nor the robot's wait for it
                 message, texts = await asyncio.to_thread(read, data, self._kind, self._key)
                 await self._public.proposals.note(texts, self._channel)
-            except AuthGuardError as error:  # nobody took note: nobody sees it
+            except AuthGuardError as error:  # it was not noted: it is not shown
                 self._hide(error)
             else:
                 self._publisher.publish(message)
@@ -89,7 +89,7 @@ class Relay:
 def read(data: bytes, kind: Any, where: str) -> tuple[Any, tuple[str, ...]]:
     """Return a message and what of it is noted: each of its words, and that it was there.
 
-    What is shown is made anew from what was read: nobody sees bytes that were not looked at.
+    What is shown is made anew from what was read: bytes that were not checked are not shown.
 
     Args:
         data: as DDS has it; as trusted as the robot's own process.
@@ -103,7 +103,7 @@ def read(data: bytes, kind: Any, where: str) -> tuple[Any, tuple[str, ...]]:
         raise _too_large(where, f"expected at most {MAX_BYTES} bytes")
     try:
         message = deserialize_message(data, kind)
-    except Exception as error:  # whatever `rclpy` finds wrong with it
+    except Exception as error:  # any fault that `rclpy` finds with it
         raise MalformedError("expected a message of its type", where=where) from error
     texts = texts_of(message)
     if len(texts) > MAX_TEXTS or sum(map(len, texts)) > MAX_TEXT:

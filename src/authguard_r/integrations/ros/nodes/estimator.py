@@ -45,7 +45,7 @@ from authguard_r.keys.trust import read_trust
 from authguard_r.site.model import Site
 from authguard_r.wire.frames import Frame
 
-#: Snapshots in a second, at most, unless somebody says otherwise.
+#: Default for the most snapshots in a second.
 RATE_HZ = 20
 MAX_RATE_HZ = 200
 SPEED = VariableId("speed_mm_s")
@@ -119,7 +119,7 @@ class Estimate:
             label=label,
             age_ms=age_ms,
         )
-        # whatever the sensors say of it: the place and how fast it changes are one's word
+        # even if the sensors say more: the pose and the speed come from one source
         speed = Reading(value=fix.speed_mm_s, label=label, age_ms=age_ms)
         snapshot = Snapshot(
             robot=self._robot, epoch=0, seq=0, pose=pose, readings={**readings, SPEED: speed}

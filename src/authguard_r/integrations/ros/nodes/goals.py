@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The robot's side of an action: sends a released goal, and cancels whatever runs.
+"""The robot's side of an action: sends a released goal, and cancels every running one.
 
 An action is three services and two topics, and is used as such here: `rclpy.action.ActionClient`
 loses an answer that comes while another thread still sends the question. It stands when its server
@@ -28,7 +28,7 @@ from authguard_r.integrations.tools.server import ToolAnswer
 TAKE_S = 2.0
 #: A server that the graph does not know of, and that is there, answers within this, in seconds.
 UNSEEN_S = 0.3
-#: A goal that nobody answered for so long, of a server that answers, never arrived, in seconds.
+#: A goal without an answer for this long, of a server that answers, never arrived, in seconds.
 _LOST_S = 5.0
 #: Between two looks whether the server is there, in seconds.
 _LOOK_S = 0.1
@@ -102,13 +102,13 @@ class ActionClientProxy:
         self._goals: dict[bytes, _Goal] = {}
         self._own: deque[bytes] = deque(maxlen=_MOST_OWN)  # the last ids that were sent from here
         self._stopping = 0
-        self._is_settled = True  # whoever makes it stops it before anything begins
+        self._is_settled = True  # its maker stops it before anything begins
         self._settling: asyncio.Task[None] | None = None
         self._looked_s = 0.0
 
     @property
     def is_there(self) -> bool:
-        """True while somebody serves it, all of it, and runs nothing that we do not know of."""
+        """True while a server serves it completely, and runs no goal that is unknown here."""
         clients = (self._sender, self._canceler, self._asker)
         return (
             self._is_settled
@@ -118,7 +118,7 @@ class ActionClientProxy:
 
     @property
     def _runs_unseen(self) -> bool:
-        """True while somebody there says that goals run, though the rest of it is not seen."""
+        """True while a server there says that goals run, though the rest of it is not seen."""
         return bool(self._active) and self._heard[-1].get_publisher_count() > 0
 
     def begin(self, order: DispatchOrder) -> None:
@@ -129,7 +129,7 @@ class ActionClientProxy:
         self._robot.spinner.begin(self._attend(goal))
 
     def pass_time(self) -> None:
-        """Look whether the server was away: what it ran before, nobody knows when it is back."""
+        """Look whether the server was away: what it ran before is unknown when it is back."""
         now_s = asyncio.get_running_loop().time()
         if now_s - self._looked_s < _LOOK_S:
             return
@@ -140,7 +140,7 @@ class ActionClientProxy:
             self._settling = self._robot.spinner.begin(self._settle())
 
     async def _settle(self) -> None:
-        """Cancel whatever a server runs that has just come, or come back."""
+        """Cancel what a server runs that has just come, or come back."""
         try:
             is_over = await self.stop()
         except Exception:  # noqa: BLE001 - whatever it is, nobody knows what the server does
@@ -151,8 +151,8 @@ class ActionClientProxy:
     async def stop(self) -> bool:
         """Cancel every goal, and wait until the server has said of each that it is over.
 
-        It is asked whether or not the graph knows of it: whoever may write to the graph could hide
-        it there. One that is not there has nothing to say, and of ours it runs nothing.
+        It is asked whether or not the graph knows of it: a writer of the graph could hide it there.
+        One that is not there has nothing to say, and of ours it runs nothing.
         """
         is_unseen = not self._canceler.service_is_ready()
         self._stopping += 1
@@ -178,7 +178,7 @@ class ActionClientProxy:
         return True
 
     async def _attend(self, goal: _Goal) -> None:
-        """Carry it out; what goes wrong here leaves nobody who knows what the robot does."""
+        """Carry it out; after a fault here the robot's motion is unknown."""
         try:
             await self._carry(goal)
         except Exception:  # noqa: BLE001 - whatever it is
@@ -236,7 +236,7 @@ class ActionClientProxy:
         asked = client.call_async(request)
         try:
             return await self._robot.spinner.ask(lambda: asked)
-        finally:  # nobody waits for it any more
+        finally:  # no caller waits for it any more
             client.remove_pending_request(asked)
 
     def _fed(self, message: Any) -> None:
@@ -246,7 +246,7 @@ class ActionClientProxy:
             goal.order.release.fed(message.feedback)
 
     def _told(self, message: Any) -> None:
-        """Take in what the server says of its goals; one that nobody released is stopped."""
+        """Take in what the server says of its goals; a goal without a release is cancelled."""
         self._active = {
             bytes(one.goal_info.goal_id.uuid): one.goal_info.goal_id
             for one in message.status_list

@@ -68,7 +68,7 @@ def actuation_qos() -> QoSProfile:
 
 
 def steady() -> Clock:
-    """Return a clock that nobody can set: timers never follow `/clock`."""
+    """Return a clock that cannot be set: timers never follow `/clock`."""
     return Clock(clock_type=ClockType.STEADY_TIME)
 
 
@@ -209,7 +209,7 @@ def listen(
     def take(message: Any, origin: Mapping[str, Any]) -> None:
         named = origin.get("publisher_gid") if told.ids else None
         if named is None and about.are_several:
-            lost(LatchCause.ANOTHER)  # nobody can say whose it is
+            lost(LatchCause.ANOTHER)  # its owner is unknown
         else:
             heard(message, b"" if named is None else bytes(named["data"]))
 
@@ -234,7 +234,7 @@ def require_name(node: Node, topic: str) -> None:
     """Require that a name means itself in this node.
 
     Raises:
-        EnvironmentFault: somebody remaps it, or it is not whole.
+        EnvironmentFault: its name is remapped, or it is not whole.
     """
     resolved = node.resolve_topic_name(topic)
     if resolved != topic:

@@ -16,7 +16,7 @@ T = TypeVar("T")
 
 
 class ThreadInbox(Generic[T]):
-    """A queue from the thread to the loop; whoever floods it never makes it longer.
+    """A queue from the thread to the loop; a flood never makes it longer.
 
     Args:
         spinner: both.

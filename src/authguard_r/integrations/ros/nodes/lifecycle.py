@@ -2,9 +2,9 @@
 """The node as ROS manages one: unconfigured, inactive, active; planners see it while it is active.
 
 Its states live on a node and a thread of their own, so that a transition can wait for the robot
-while the others turn. Each transition is carried out in the event loop, one at a time. Nobody has
-the right to ask for one but whom the map names a process of his own for; nothing that can be set
-changes what the node serves. Spec page: docs/spec/ros.md#lifecycle
+while the others turn. Each transition is carried out in the event loop, one at a time. Only a
+process that the map names has the right to ask for one; no parameter changes what the node serves.
+Spec page: docs/spec/ros.md#lifecycle
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Managed(LifecycleNode):  # type: ignore[misc]
 
     Args:
         context: the process's.
-        facts: parameters that say what runs here; nobody sets one.
+        facts: parameters that say what runs here; they are read-only.
         carry: carries out a transition, and says whether it was; called on the node's thread.
     """
 
@@ -96,7 +96,7 @@ class Managed(LifecycleNode):  # type: ignore[misc]
 
 
 class _AwaitedTransition(NamedTuple):
-    """A transition that somebody waits for."""
+    """A transition with a waiting caller."""
 
     step: LifecycleStep
     done: asyncio.Future[bool]
@@ -124,7 +124,7 @@ class States:
         self._asked: asyncio.Queue[_AwaitedTransition] = asyncio.Queue()
         self._waiting: set[_AwaitedTransition] = set()
         self._is_over = False
-        #: why it is not configured, if somebody tried
+        #: why it is not configured, if that was tried
         self.fault: AuthGuardError | None = None
         #: what of the robot was not there when it was configured
         self.missing: tuple[str, ...] = ()
@@ -162,7 +162,7 @@ class States:
                         return
         finally:
             self._is_over = True
-            for asked in self._waiting:  # the thread that asked waits, and nobody else answers
+            for asked in self._waiting:  # the thread that asked waits, and no other answers
                 asked.answer(done=False)
 
     async def _configure(self, asked: _AwaitedTransition) -> _AwaitedTransition | None:

@@ -263,9 +263,9 @@ class Localization:
             self._say(now_ns)
 
     def _is_of_type(self, topic: str) -> bool:
-        """Return False when somebody publishes another type, or another version of it.
+        """Return False when a publisher uses another type, or another version of it.
 
-        Anybody may say so of himself, and whoever does makes nothing believed: it only ends it.
+        Any publisher may say so of itself, and that never adds trust: it only ends it.
         """
         mine = {
             (one.topic_type, str(one.topic_type_hash))

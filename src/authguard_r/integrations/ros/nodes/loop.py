@@ -184,7 +184,7 @@ async def spun(
         yield spinner, failed
     finally:
         if failed.done():
-            failed.exception()  # whoever waited for it has it, or leaves for another reason
+            failed.exception()  # the waiting caller has it, or leaves for another reason
         failed.cancel()
         await spinner.close()
         for waitable in tuple(node.waitables):
@@ -194,7 +194,7 @@ async def spun(
 
 
 async def raised(failed: asyncio.Future[None]) -> None:
-    """Raise what a future brings, for whoever waits for a task: it is not canceled with that."""
+    """Raise a future's error, for a caller that waits for a task: the future is not cancelled."""
     await asyncio.shield(failed)
 
 

@@ -204,7 +204,7 @@ class Mediator:
 async def configured(
     place: MediatorTarget, context: Context, log: ProcessLog
 ) -> AsyncIterator[Mediator]:
-    """Reach the robot for the gate, and stop whatever runs there; planners see nothing of it yet.
+    """Reach the robot for the gate and stop everything that runs; planners are not served yet.
 
     Raises:
         MalformedError: map, site and binding do not fit each other.
@@ -263,10 +263,10 @@ async def mediating(place: MediatorTarget, log: ProcessLog) -> AsyncIterator[Med
 
 
 async def _ready(mediator: Mediator) -> None:
-    """Wait for the gate and a while for the robot, and stop whatever runs.
+    """Wait for the gate and a while for the robot, and stop everything that runs.
 
     Raises:
-        EnvironmentFault: the gate did not come, or nobody says that the robot stands.
+        EnvironmentFault: the gate did not come, or the robot is not known to stand.
         StoreError: the gate's store was put back.
     """
     try:

@@ -99,7 +99,7 @@ async def _first(*tasks: asyncio.Future[Any]) -> None:
 
 
 async def _begin(node: Managed, spinner: Spinner, states: States, *, is_managed: bool) -> None:
-    """Configure and activate it at once, unless somebody else does.
+    """Configure and activate it at once, unless another process does.
 
     Raises:
         AuthGuardError: it cannot be configured.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A process that is one node: in the map's domain and enclave, with names that nobody remaps.
+"""A process that is one node: in the map's domain and enclave, with names that cannot be remapped.
 
 Spec page: docs/spec/ros-stopping.md#processes
 """
@@ -87,7 +87,7 @@ def require_unsecured() -> None:
     """Require that no word of DDS security is set: on a bench all processes are without.
 
     Raises:
-        EnvironmentFault: one is, whatever it says.
+        EnvironmentFault: a name is remapped.
     """
     if ENABLE in os.environ:
         raise EnvironmentFault(
@@ -105,9 +105,9 @@ def run_node(
 ) -> int:
     """Run one node until SIGTERM or SIGINT, and return the process's exit code.
 
-    Words of ROS (`--ros-args`) are none of its words: nobody remaps a name, moves it to another
-    domain or gives it another enclave than the map says. Outside its enclave it does not start, but
-    with `--demo`, on a bench where nothing can be hurt and no word of DDS security is set.
+    It takes no arguments of ROS (`--ros-args`): they cannot remap a name, move it to another domain
+    or give it another enclave than the map says. Outside its enclave it does not start, but with
+    `--demo`, on a bench where nothing can be hurt and no word of DDS security is set.
 
     Args:
         name: of the node.
@@ -159,7 +159,7 @@ def _spin(name: str, ros: RosMap, enclave: str, build: Callable[[Node], NodeClea
 
 @contextmanager
 def made_node(name: str, ros: RosMap, enclave: str) -> Iterator[Node]:
-    """Yield a node in the map's domain and an enclave, which takes no words from anybody."""
+    """Yield a node in the map's domain and an enclave, which takes no ROS arguments."""
     with ros_context(ros, enclave) as context:
         node = plain_node(name, context, enclave)
         try:

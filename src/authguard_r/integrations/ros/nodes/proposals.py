@@ -143,7 +143,7 @@ class PlannerProposals:
     async def unreadable(self, tool: str, error: AuthGuardError) -> None:
         """Hand in that a message was none that can be read: the gate refuses it, and logs that.
 
-        Nothing comes of it whatever the gate answers, and where it is away, too.
+        It never succeeds, also when the gate is away.
         """
         if self._unreadable >= _MOST_UNREADABLE:
             return

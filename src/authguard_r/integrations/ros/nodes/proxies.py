@@ -24,7 +24,7 @@ from authguard_r.normalize.expected import Expected
 
 #: What stops the robot is answered within this, in seconds, or asked again.
 STOP_S = 1.5
-#: Messages that wait for whoever reads them.
+#: Messages that wait for a reader.
 _DEPTH = 10
 
 
@@ -35,7 +35,7 @@ class RobotProxy(Struct, frozen=True, kw_only=True):
         spinner: the node, and its thread.
         group: every callback of the node's.
         changed: called when something ended.
-        astray: called when nobody knows any more what the robot does: it has to be stopped.
+        astray: called when the robot's motion is unknown: it has to be stopped.
         strange: called with an action's name, and how many goals of it run that were never ours.
         is_alive: says whether the gate's ends look after their body; from any thread.
     """
@@ -88,7 +88,7 @@ class ClientProxy(Protocol):
         ...
 
     async def stop(self) -> bool:
-        """Stop whatever runs here, whoever began it; True once nothing does."""
+        """Stop everything that runs here, of all planners; True once nothing does."""
         ...
 
     def pass_time(self) -> None:
@@ -114,7 +114,7 @@ class ServiceClientProxy:
 
     @property
     def is_there(self) -> bool:
-        """True while somebody serves it."""
+        """True while a server serves it."""
         return bool(self._client.service_is_ready())
 
     def begin(self, order: DispatchOrder) -> None:
@@ -172,7 +172,7 @@ class MessageClientProxy:
 
     @property
     def is_there(self) -> bool:
-        """True while somebody hears it."""
+        """True while a subscriber hears it."""
         return bool(self._publisher.get_subscription_count() > 0)
 
     def begin(self, order: DispatchOrder) -> None:

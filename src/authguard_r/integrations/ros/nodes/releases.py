@@ -60,7 +60,7 @@ class Release:
         """Keep a feedback for the planner; what it does not take is dropped, the oldest first."""
         if self.feedback.full():
             self.feedback.get_nowait()
-            self.feedback.task_done()  # else nobody would ever see the rest to its end
+            self.feedback.task_done()  # else the rest would not be watched to its end
         self.feedback.put_nowait(feedback)
 
     def answered(self, message: Any, *, status: int | None = None) -> ExecutionNews:
@@ -106,7 +106,7 @@ class Releases:
             self._waiting[ticket] = call
 
     def forget(self, ticket: str) -> None:
-        """Call nobody for this ticket any more."""
+        """End the calls for this ticket."""
         self._waiting.pop(ticket, None)
 
 

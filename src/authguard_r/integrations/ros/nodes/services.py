@@ -2,8 +2,8 @@
 """The planners' side of services and of single messages, under their public names.
 
 A service that can say that it failed says so of a refusal, with the code. One that cannot is not
-answered: whoever waits learns nothing, which is better than an answer that the robot never gave.
-Spec page: docs/spec/ros.md#services
+answered: the waiting caller learns nothing, which is better than an answer that the robot never
+gave. Spec page: docs/spec/ros.md#services
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class ServiceProxyServer:
     def _answer(self, header: Any, response: Any) -> None:
         if response is _SILENCE:
             return
-        if self._is_deaf:  # each answer to such a planner holds whoever sends it
+        if self._is_deaf:  # each answer to such a planner delays its sender
             self._public.spinner.run(self._told, header, response)
         else:
             self._told(header, response)
@@ -120,7 +120,7 @@ class MessageProxyServer:
         )
 
     def _came(self, message: Any) -> None:
-        """Take a message on the thread of ROS; nobody waits for an answer."""
+        """Take a message on the thread of ROS; no caller waits for an answer."""
         propose = partial(self._propose, read_call(self._item, message))
         self._public.spinner.later(propose, lambda _: None, otherwise=None, busy=self._busy)
 

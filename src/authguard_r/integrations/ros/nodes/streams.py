@@ -58,7 +58,7 @@ class StreamServer:
         self._came: ThreadInbox[tuple[Any, bytes]] = ThreadInbox(
             public.spinner, MOST_WAITING, is_newest=True
         )
-        self._sender: bytes | None = None  # whose stream is open; None: nobody's
+        self._sender: bytes | None = None  # whose stream is open; None when none is
         self._heard_s = self._paused_s = self._told_s = self._loop.time() - PAUSE_S
         public.spinner.node.create_subscription(
             kind, item.public, self._take, _DEPTH, callback_group=public.group
@@ -73,7 +73,7 @@ class StreamServer:
             self._came.put((message, sender))
 
     async def stay(self) -> None:
-        """Ask for a lease whenever somebody steers, and sample it, until this is canceled."""
+        """Ask for a lease while a planner steers, and sample it, until this is cancelled."""
         self._came.clear()
         while True:
             message, sender = await self._came.take()
@@ -144,12 +144,14 @@ class StreamServer:
             return
 
     async def _next(self) -> Any:
-        """Return the next message of whoever steers; None once he was silent for `SILENT_S`."""
+        """Return the next message of the steering planner; None after `SILENT_S` of silence."""
         while (left_s := self._heard_s + SILENT_S - self._loop.time()) > 0:
             with suppress(TimeoutError):
                 async with asyncio.timeout(left_s):
                     message, sender = await self._came.take()
-                if sender == self._sender:  # another's may have waited before it was anybody's
+                if (
+                    sender == self._sender
+                ):  # another planner's message may have waited since before the stream was open
                     return message
         return None
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plans as text: what a planner publishes goes to the gate as it is, and what became of it is told.
 
-Nothing is parsed here, translated or judged. Each plan that was heard is told of, whatever becomes
-of it. Spec page: docs/spec/ros.md#plans-as-text
+Nothing is parsed here, translated or judged. The outcome of each plan that was heard is published.
+Spec page: docs/spec/ros.md#plans-as-text
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from authguard_r.normalize.parse import MAX_TEXT
 
 #: Plans that wait to be looked at; more are shed, and their number is told.
 MOST_WAITING = 16
-#: Between two plans, in seconds: whoever floods the topic keeps nobody else waiting.
+#: Between two plans, in seconds: a flood of the topic does not keep others waiting.
 GAP_S = 0.01
 #: Messages that a planner may leave unread.
 _DEPTH = 100

@@ -36,7 +36,7 @@ _FLOATS = {"float": 32, "double": 64}
 _BYTE = "octet"
 _BOOL = "boolean"
 _SINGLE = struct.Struct("<f")
-#: Sequences of these may hold text that somebody decodes.
+#: Sequences of these may hold text that a reader decodes.
 _TEXT = {_BYTE, "int8", "uint8", "char"}
 
 
@@ -67,7 +67,7 @@ def load_type(name: str, part: TypePart) -> Any:
 def require_narrow(kind: Any, part: TypePart, *, where: str) -> None:
     """Require that what planners send of a type has no wide string.
 
-    The Python of ROS 2 ends on one whose units are no text, before anybody could refuse it.
+    The Python of ROS 2 crashes on one whose units are no text, before it could be refused.
 
     Raises:
         MalformedError: it has one.
@@ -85,7 +85,7 @@ def plain_of(message: Any, *, where: str = "", is_asked: bool = False) -> dict[s
     Args:
         message: untrusted.
         where: its place.
-        is_asked: somebody asks for what it says: an orientation has to be one.
+        is_asked: a consumer needs it: an orientation has to be one.
 
     Raises:
         MalformedError: a number that is none, or too much of everything; of what is asked for, a
@@ -287,7 +287,7 @@ def _words_of(message: Any) -> Iterator[str]:
 
 
 def _words(kind: Any, value: Any) -> Iterator[str]:
-    """Yield the words of one field; bytes count as the text that somebody may make of them."""
+    """Yield the words of one field; bytes count as the text that a reader may make of them."""
     if isinstance(kind, NamespacedType):
         yield from _words_of(value)
     elif isinstance(kind, AbstractNestedType):

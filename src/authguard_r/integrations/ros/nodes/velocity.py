@@ -54,12 +54,12 @@ class StreamClientProxy:
 
     @property
     def stands(self) -> bool:
-        """True once it was told zero for as long as it needs to brake, if somebody hears that."""
+        """True once a subscriber heard zero for as long as it needs to brake."""
         return self._message is self._zero and mono_ms() >= self._stood_ms
 
     @property
     def is_there(self) -> bool:
-        """True while somebody hears it."""
+        """True while a subscriber hears it."""
         return bool(self._publisher.get_subscription_count() > 0)
 
     def begin(self, order: DispatchOrder) -> None:
@@ -79,7 +79,7 @@ class StreamClientProxy:
             self.rest()
             return
         if mono_ms() - self._turned_ms >= TURN_MS:
-            return  # the heartbeat is silent too: no planner's hand drives on what nobody watches
+            return  # the heartbeat is silent too: no planner drives without a watch
         self._speed_mm_s = max(self._speed_mm_s, speed_mm_s)
         self._say(message)
 
@@ -145,7 +145,7 @@ class StreamClientProxy:
             self._publisher.publish(message)
 
     def _heard(self) -> bool:
-        """True when somebody hears zero, or nobody was ever told to move."""
+        """True when a subscriber hears zero, or it was never told to move."""
         return not self._speed_mm_s or self.is_there
 
 
