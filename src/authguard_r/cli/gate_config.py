@@ -29,7 +29,7 @@ from authguard_r.anchoring.places import WitnessPlace
 from authguard_r.anchoring.sealing.policy import Reader, require_readers, require_retention
 from authguard_r.authoring.compile.draft import Quantity
 from authguard_r.authoring.compile.units import to_integer
-from authguard_r.cli.gate_peers import everybody, mediators_of, peers_of, user_number
+from authguard_r.cli.gate_peers import every_user, mediators_of, peers_of, user_number
 from authguard_r.cli.inputs import JsonFlag, NowOption, wall_now
 from authguard_r.cli.readers_form import (
     RetentionForm,
@@ -178,7 +178,7 @@ def make(
     """Write a configuration to look through and sign; with --demo, a signed one."""
     if demo == bool(peer or mediator):
         raise typer.BadParameter("name each user, or say --demo", param_hint="--peer")
-    peers = everybody() if demo else peers_of(peer or [])
+    peers = every_user() if demo else peers_of(peer or [])
     form = GateConfigForm(
         robot=_robot(robot),
         peers={**peers, **mediators_of(mediator or [], peers)},

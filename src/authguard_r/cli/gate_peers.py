@@ -31,7 +31,7 @@ def user_number(who: str | int, *, where: str) -> int:
         ) from error
 
 
-def everybody() -> dict[str | int, tuple[ClientRole, ...]]:
+def every_user() -> dict[str | int, tuple[ClientRole, ...]]:
     """Return every role for each user."""
     return {os.geteuid(): tuple(role for role in ClientRole if role is not ClientRole.GATE)}
 
