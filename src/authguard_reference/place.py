@@ -229,9 +229,8 @@ def squared_distance(point: Point, start: Point, end: Point) -> Fraction | int:
 def winding_number(point: Point, sides: list[tuple[Point, Point]]) -> int:
     """Count how often a closed line goes around a point that is not on it.
 
-    Each side adds the turns of its start and end as seen from the point, in quarters. A side
-    that jumps two quarters passes left or right of the point, which the sign of the cross
-    product tells.
+    Each side adds the turns of its start and end as seen from the point, in quarters. A side that
+    jumps two quarters passes left or right of the point; the sign of the cross product says which.
 
     Args:
         point: The point.

@@ -27,7 +27,7 @@ def trusted_site(path: Path, trust: Trust, now: Now | None = None) -> Site:
 
     Raises:
         MalformedError: no site model, or one with faults.
-        AuthenticityError: the signature does not hold, or there is none and there must be one.
+        AuthenticityError: the signature is not valid, or a required signature is missing.
         EnvironmentFault: the file cannot be read.
     """
     data = read_file(path)

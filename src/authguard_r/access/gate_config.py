@@ -67,15 +67,15 @@ class GateConfig(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=
         refusals: refusals in a row, without a success, that raise the no-progress alert and stop
             the robot; 0 never.
         renew_within_ms: a controller that hears of no renewal for this long stops by itself.
-        stand_within_ms: what became of an action is unknown when the robot has not said so this
-            long after it was told to stop; the mission is suspended.
-        disclosure: how much of a refusal a planner is told.
+        stand_within_ms: the outcome of an action is unknown when the robot has not confirmed that
+            it stands this long after a stop; the mission is suspended.
+        disclosure: how much of a refusal a planner sees.
         fold_ms: repeats of one refusal within this time become one counted record.
         reserve_bytes: disk kept free for outcomes, stops and management.
         checkpoint_records: a checkpoint is made after so many records.
         checkpoint_ms: a checkpoint is made after so long, if anything is new.
         witnesses: who cosign the checkpoints, each once.
-        quorum: so many of them make one `witnessed`; 0 where there are none.
+        quorum: the number of witnesses that make a checkpoint `witnessed`; 0 without witnesses.
         state_wait_ms: a step waits so long for state that was measured after the robot's last
             motion, and is refused then.
         witness_ms: nothing was witnessed for so long, though there is something: an alert; 0: none.
@@ -111,7 +111,7 @@ class GateConfig(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=
 
 
 def require_mediator(peer: Peer, *, where: str) -> None:
-    """Require that who mediates asks and drives, and has no say in what is believed or decided.
+    """Require that a mediator has only these two roles: it may neither attest state nor decide.
 
     Raises:
         MalformedError: it has other roles.

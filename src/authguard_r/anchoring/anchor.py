@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Holds a store to what is outside of it: compared at the start, told before what has no undo.
+"""Compares a store with what is kept outside: at the start, and before a step without undo.
 
 Outside are a counter and witnesses; the doubt of one is enough. A store that is ahead of them is
 one whose gate died in between, and is fine. A store that is behind them, or does not contain them,
@@ -77,7 +77,7 @@ def read_counter(counter: Counter | None, *, verifier: Verifier) -> CounterReadi
 
 
 class AnchorNotice(Struct, frozen=True):
-    """Something that people are to be told.
+    """A message for people.
 
     Args:
         what: the alert.
@@ -105,7 +105,7 @@ class StoreAnchor:
     Args:
         ledger: the store.
         robot: whose it is.
-        counter: outside of the store; None where there is none, and then nothing is compared.
+        counter: outside of the store; None when there is none, and then nothing is compared.
         signer: the gate's own key; needed with a counter.
         reading: what the counter held before the store was touched.
         notary: makes the log's checkpoints and has them witnessed; None makes none.
@@ -151,8 +151,8 @@ class StoreAnchor:
     def begin(self) -> None:
         """Show the log to its witnesses and count the start, or record that it was put back.
 
-        A place that cannot be reached is told of when it is needed: only what cannot be undone
-        waits for it.
+        A place that cannot be reached is reported when it is needed: only a step that cannot be
+        undone waits for it.
         """
         if self._doubt is None and self._notary is not None:
             with suppress(AuthGuardError):
@@ -165,7 +165,7 @@ class StoreAnchor:
                 self._know()
 
     def tick(self) -> tuple[AnchorNotice, ...]:
-        """Make a checkpoint if one is due and take in what witnesses say; what is to be told.
+        """Make a due checkpoint and take in what witnesses say; return the messages for people.
 
         For the one thread that holds the store, between its turns.
         """
@@ -223,7 +223,7 @@ class StoreAnchor:
             self._write(*self._outside)
 
     def ready(self, *, irreversible: bool) -> None:
-        """Make sure, before it is committed, that what cannot be undone could be told of.
+        """Make sure, before it is committed, that a step that cannot be undone could be reported.
 
         In the writer's turn: nothing of the turn is written, for it is not on disk yet.
 
@@ -273,7 +273,7 @@ class StoreAnchor:
         return (store, number) == (self._store, self.number) and size >= self._opened
 
     def shown(self) -> dict[str, object]:
-        """Return what `status` says: what an operator has to sign, where he has to."""
+        """Return what `status` says: what an operator has to sign, when a signature is needed."""
         state, doubt = "uncounted" if self._outside is None else "counted", self._doubt
         told: dict[str, object] = {
             "state": state if doubt is None else "put_back",

@@ -86,12 +86,12 @@ class _Witness:
         return self.sent is None and self.done != text and now_ms >= self._again_ms
 
     def send(self, note: Note, old: int, proof: tuple[bytes, ...]) -> None:
-        """Ask it for a cosignature; `old` is the size that it is believed to have."""
+        """Ask it for a cosignature; `old` is the size that it presumably has."""
         self.sent, self.old = note, old
         self.courier.send(request(old, proof, note))
 
     def told(self) -> bool:
-        """Count a size that it told; False when these were too many in a row."""
+        """Count a size that the witness sent; False when these were too many in a row."""
         self._told += 1
         return self._told <= LIMITS.witness_sizes
 

@@ -81,7 +81,7 @@ class Rotation:
         self._stuck = False
 
     def tick(self) -> tuple[AnchorNotice, ...]:
-        """Do one step, if there is one to do; what is to be told.
+        """Do one step, if one is due; return the messages for people.
 
         For the one thread that holds the store, between its turns.
         """

@@ -198,7 +198,8 @@ def _connected(url: SplitResult, until: float) -> Iterator[socket.socket]:
 def _reached(host: str, port: int, until: float) -> socket.socket:
     """Return a connection to the first address of a name that answers.
 
-    All of them share the time that is left: who has a name's say can give it as many as he likes.
+    All of them share the time that is left: the owner of a domain name can give it any number of
+    addresses.
 
     Raises:
         OSError: no process listens there.

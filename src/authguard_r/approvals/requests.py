@@ -30,7 +30,7 @@ from authguard_r.core.token import VerifiedMission
 from authguard_r.store.transactions import Transaction
 
 _HELD = "question"
-#: Stands for what was asked and cannot be told any more: it names no place.
+#: Stands for a question that is not stored any more: it names no place.
 UNTOLD = Action(type=ActionType("untold"), tool=ToolId("untold"))
 #: Opens a row of the log (`Ledger.opened`).
 Opened = Callable[[tuple[int, bytes, bytes, bytes]], LogRow]
@@ -87,7 +87,7 @@ def find_asked(
     facts: SiteFacts,
     opened: Opened,
 ) -> OpenRequest | None:
-    """Return the open request of the active mission that an answer names; None: there is none.
+    """Return the open request of the active mission that an answer names; None without one.
 
     Args:
         act: the act.
@@ -130,7 +130,7 @@ def read_told(act: Transaction, mid: MissionId, counter: int, opened: Opened) ->
     """Return the record of the decision that opened a request.
 
     Raises:
-        StoreError: there is none, or it does not hold what such a record holds.
+        StoreError: there is no such record, or it does not hold what such a record holds.
     """
     number = record_of(act, mid, counter)
     rows = () if number is None else act.rows(number, 1)

@@ -54,7 +54,7 @@ def read_checkpoint(text: str, *, where: str) -> Checkpoint:
     Extension lines of others are theirs, and stay unread.
 
     Raises:
-        MalformedError: it is none.
+        MalformedError: it is no checkpoint.
     """
     lines = text.split("\n")
     if len(lines) < 4 or lines.pop() != "" or not all(lines):
@@ -75,7 +75,7 @@ def read_size(text: str, *, where: str) -> int:
     """Return a number of records in decimal, spelled in the one way.
 
     Raises:
-        MalformedError: it is none.
+        MalformedError: it is no checkpoint.
     """
     if not (text.isascii() and text.isdigit()) or len(text) > 16:
         raise MalformedError("expected a number of records", where=where)

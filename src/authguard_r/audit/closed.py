@@ -29,7 +29,7 @@ class Closed(Struct, frozen=True, kw_only=True):
         destroyed: the classes that went; those that were sealed together with them where it is
             not known which of them went.
         boxes: the classes of each box, and whether it was destroyed.
-        fields: what the record commits to, and is not told.
+        fields: what the record commits to, and the display leaves out.
     """
 
     sealed: tuple[str, ...] = ()
@@ -42,7 +42,7 @@ class Closed(Struct, frozen=True, kw_only=True):
         return bool(self.sealed or self.destroyed)
 
     def why(self, field: str) -> str:
-        """Return why a value is not told: `sealed`, `destroyed`, or empty: neither is the reason.
+        """Return why a value is not shown: `sealed`, `destroyed`, or empty for neither.
 
         Args:
             field: its name; `action` stands for each of its parts.

@@ -22,7 +22,8 @@ from authguard_r.core.identifiers import Count
 _ORDER = "shred"
 #: Fields that lie in no box.
 _NEVER_BOXED = frozenset({"now", "site", "safety", "policy", "list"})
-#: Kinds of missing values that are told apart; more of them count as one, which no order explains.
+#: Kinds of missing values that are reported apart; further kinds count as one, which no order
+#: explains.
 _MOST = 1 << 18
 #: The same of one mission: an order looks at all of them.
 _MOST_OF_ONE = 1 << 8

@@ -107,7 +107,7 @@ def read_signatures(data: bytes, *, where: str) -> tuple[NoteSignature, ...]:
     """Return the signatures in lines as they stand in a note.
 
     Raises:
-        MalformedError: no signature line, or something that is none.
+        MalformedError: no signature line, or a line that is not a signature.
     """
     whole = _text(data, where)
     if not whole.endswith("\n"):
@@ -126,7 +126,7 @@ def read_key(text: str, *, where: str) -> NoteKey:
         where: for errors.
 
     Raises:
-        MalformedError: it is none, or its id is another key's.
+        MalformedError: it is no verifier key, or its id is another key's.
     """
     name, _, rest = text.strip().partition("+")
     stated, _, encoded = rest.partition("+")

@@ -4,7 +4,7 @@
 One process reads the rows, once and in order, as `verify_rows` does; it hands pieces of them to
 others, verifies some itself, and joins each when its turn comes. Each worker finds the faults of a
 log by itself: at the first piece that does not join, it continues with the rows that it kept. So
-the answer is that of `verify_rows`, word for word, and one that got no answer is none.
+the answer equals that of `verify_rows`, and a piece without an answer is not verified.
 
 Spec page: docs/spec/audit-record.md#verification
 """

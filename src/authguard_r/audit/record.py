@@ -193,7 +193,7 @@ def read_sealed(data: bytes, *, where: str) -> dict[str, Sealed]:
     """Return the sealed values that lie beside a record.
 
     Raises:
-        MalformedError: they are none.
+        MalformedError: they are not a record.
     """
     return decode(data, dict[str, Sealed], where=where)
 

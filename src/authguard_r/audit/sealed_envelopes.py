@@ -48,7 +48,7 @@ from authguard_r.core.ports import Turn
 Classes = tuple[DataClass, ...]
 _E, _O, _P, _R = DataClass.EVIDENCE, DataClass.OBJECT, DataClass.PARAMETER, DataClass.REGION
 _WHO = DataClass.PERSON
-#: What tells of an action, its place and why.
+#: The class for an action, its place and the reason.
 _TOLD: Classes = (_E, _O, _P, _R)
 #: The digests that the record of a covered decision does not link.
 LINKS = "links"
@@ -61,14 +61,15 @@ _PARTS: dict[str, tuple[str, ...]] = {
     REGIONS: ("source", "destination", "route"),
 }
 _SOMEBODY = ("approvers", "by", "caller", "issuer", "members", "scheduler", "signer")
-#: Open fields with words that people chose, and what they tell of; sealed under their names.
+#: Open fields with words that people chose, and the classes that these reveal; sealed under their
+#: names.
 SPOKEN: dict[str, Classes] = {
     **dict.fromkeys(_SOMEBODY, (_WHO,)),
     "grant": _TOLD,
 }
 #: A stream's running digest is guessed like any digest of few numbers.
 _STREAM: dict[str, Classes] = {"digest": (_P,)}
-#: The classes that a field tells of. What is not named here tells of everything.
+#: The classes that a field reveals. A field that is not named here reveals all of them.
 CLASSES: Final[dict[str, Classes]] = {
     ACT: (_E,),
     OBJECT: (_O,),
@@ -86,7 +87,7 @@ CLASSES: Final[dict[str, Classes]] = {
     # of no mission: when it was, where the robot lives, what is published, the keys themselves
     **dict.fromkeys(("now", "site", "safety", "policy", "list"), ()),
 }
-#: The kind of the record that tells who may have the keys of a mission's boxes.
+#: The kind of the record that holds the wrapped keys of a mission's envelopes.
 SEALING = "sealing"
 _BOX_INFO = b"authguard-r/box/1\0"
 _KEY, _NONCE, _SALT = 32, 12, 16
@@ -97,7 +98,7 @@ class Cover(Struct, frozen=True, kw_only=True):
 
     Args:
         robot: whose log it is.
-        keys: number of the record that tells who may have them.
+        keys: number of the record that holds the wrapped keys.
         classes: 32 secret bytes of each class that is sealed; other classes are not encrypted.
         ciphers: what was made of them; they are forgotten together.
     """
@@ -131,7 +132,7 @@ class _Where(Struct, frozen=True, kw_only=True):
     classes: Classes
 
 
-#: Tells the key of a class by the number of its record; None when it is not to be had.
+#: Returns the key of a class by the number of its record; None when it is not available.
 KeyOf = Callable[[int, DataClass], bytes | None]
 
 
@@ -185,7 +186,7 @@ def opened(row: LogRow, *, robot: RobotId, key_of: KeyOf) -> LogRow:
         key_of: the reader's keys.
 
     Raises:
-        MalformedError: no record, a box that is none, or that is not what the record commits to.
+        MalformedError: no record, an invalid envelope, or one that the record does not commit to.
     """
     if BOX.encode() not in row.sealed:
         return row
@@ -248,7 +249,7 @@ def _opened(
 
 
 def _told(record: Record, values: dict[str, Sealed]) -> Record:
-    """Return the record with the words and the digests that it would tell of."""
+    """Return the record with the words and the digests that it would show."""
     spoken = {name: values[name].value for name in (*SPOKEN, *_STREAM) if name in values}
     link = record.link
     if LINKS in values:

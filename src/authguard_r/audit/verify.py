@@ -54,8 +54,8 @@ class Anchor(Struct, frozen=True, kw_only=True):
     """What is known of a log from outside of it, its signatures verified.
 
     Args:
-        by: what vouches for it; `claimed`: nothing does, and a log that it does not fit is none
-            that its gate wrote.
+        by: what vouches for it; `claimed`: nothing does, and a log that does not match it was not
+            written by its gate.
         size: number of records that it speaks of.
         head: L_{size-1}; None when it does not say.
         root: of the tree over those links; None when it does not say.
@@ -140,8 +140,7 @@ def verify_rows(
     Args:
         rows: the log, in order, from an untrusted store.
         terminal: an authentic signed terminal digest, None when there is none.
-        anchors: what authentic checkpoints say of it; of two that say as much the later one is
-            told of.
+        anchors: what authentic checkpoints say of it; of two equal ones the later one is reported.
     """
     return LogVerifier(terminal=terminal, anchors=anchors).finish(rows)
 

@@ -45,7 +45,7 @@ def confirm_shown(lines: list[str], question: str, *, as_json: bool) -> bool:
 def ask_until(job: Callable[[dict[str, object]], T], answers: dict[str, object]) -> T:
     """Return what the job makes of the answers, asking until no question is open.
 
-    An answer given here that turns out not to be possible is told and asked for again.
+    An answer given here that turns out not to be possible is reported and asked for again.
 
     Args:
         job: takes answers by field; raises `ClarificationError` while questions are open.

@@ -49,7 +49,7 @@ _HELD = ("risk-policy", "highest")
 
 
 class Policies(Struct, frozen=True, kw_only=True):
-    """The files that a gate is told of; None: it is told of none."""
+    """The files that a gate's options name; None for a file that they do not name."""
 
     risk: Path | None = None
     emergency: Path | None = None
@@ -75,7 +75,7 @@ def policy_advice(named: Policies, setup: GateSetup, now: Now) -> Iterator[Advic
 
 
 def _risk(path: Path | None, trust: Trust, setup: GateSetup, now: Now) -> Iterator[Advice]:
-    """The organization's policy; that there is none counts too, where a whole gate is looked at."""
+    """The organization's policy; a missing one counts too, where a whole gate is checked."""
     opened: VerifiedPolicy | None = None
     if path is not None:
         try:

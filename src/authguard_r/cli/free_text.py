@@ -34,8 +34,8 @@ class FreeTextReader(Struct, frozen=True, kw_only=True):
     """A language model that turns a free text into calls of a binding's tools.
 
     Args:
-        protocol: how its server is spoken to.
-        base_url: the only address that is spoken to.
+        protocol: the protocol of its server.
+        base_url: the only address that is contacted.
         model: the model's name there.
         api_key_env: environment variable with the key; None for a server that asks for none.
         total_s: seconds that the answer may take in all.

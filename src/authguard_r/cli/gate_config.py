@@ -103,7 +103,7 @@ class GateConfigForm(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         mode: `enforce` or `shadow`.
         connections: most connections of one user.
         refusals: refusals in a row that raise an alert.
-        disclosure: how much of a refusal a planner is told.
+        disclosure: how much of a refusal a planner sees.
         planner_silence: as `60 s`; so are the others but `reserve`, which is as `16 MiB`.
         estimator_silence: as above.
         renew_within: as above.

@@ -71,7 +71,7 @@ def _role(name: str) -> ClientRole:
 
 
 def _require_user(who: str, option: str) -> None:
-    """Refuse a user whom this machine does not know, as wrong usage: the command line named him."""
+    """Refuse a user whom this machine does not know, as wrong usage of the command line."""
     try:
         user_number(who, where=option)
     except MalformedError as error:

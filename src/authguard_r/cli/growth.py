@@ -68,7 +68,7 @@ def _sum(found: Iterable[_GrowthRow]) -> _GrowthRow:
 
 
 def _figures(one: _GrowthRow, total: _GrowthRow) -> dict[str, Any]:
-    """Return what is told of one."""
+    """Return the display of one growth finding."""
     return {
         "records": one.records,
         "decisions": one.decisions,

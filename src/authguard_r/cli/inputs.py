@@ -242,7 +242,7 @@ def load_site(path: Path, trust: Path | Trust | None = None, now: Now | None = N
 
     Raises:
         MalformedError: no site model, or one with faults.
-        AuthenticityError: the signature does not hold, or there is none and there must be one.
+        AuthenticityError: the signature is not valid, or a required signature is missing.
     """
     if trust is None:
         return require_sound(claimed_site(path), where=str(path))

@@ -66,7 +66,7 @@ def init_authorities(
         authorities: which, with commas between.
         algorithms: one for each root.
         days: how long roots and authorities are valid; nothing that they give outlives them.
-        as_json: how it is told.
+        as_json: print JSON.
     """
     names = tuple(dict.fromkeys(authorities.split(",")))
     unknown = [name for name in names if name not in AUTHORITIES]
@@ -83,7 +83,7 @@ def init_authorities(
     init_folder(
         folder, (), now=now, days=days, algorithms=algorithms, title=title, authorities=names
     )
-    for name in signing_here(folder):  # a list that is held back is believed no longer than this
+    for name in signing_here(folder):  # a list that is withheld is trusted no longer than this
         write_revocations(
             folder, name, read_key(folder, name), serials=(), now=now, number=1, days=LIST_DAYS
         )
@@ -192,7 +192,7 @@ def install_command(
 
 
 def _require_fits(opened: OpenedAnswer, request: OpenedRequest) -> None:
-    """Require that what came is what was asked for; an authority that mixes up two is told."""
+    """Require that the answer fits the request; an authority that mixes up two is reported."""
     if tuple(leaf.key for leaf in opened.leaves) != request.keys:
         raise _unfit("expected certificates of the keys in the request")
     for leaf in opened.leaves:

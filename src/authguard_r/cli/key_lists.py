@@ -290,7 +290,7 @@ def _names(named: Iterable[str] | None) -> list[str] | None:
 
 
 def _for(shown: dict[str, Any]) -> str:
-    """Return a scope in words; null is every one, and an empty list is none."""
+    """Return a scope in words; null is every scope, and an empty list is no scope."""
     said = []
     for kind in ("robot", "region"):
         named = shown["scope"][f"{kind}s"]

@@ -68,7 +68,7 @@ def learn_command(
 
 @contextmanager
 def _rows(path: Path) -> Iterator[Iterable[LogRow]]:
-    """Yield the rows of an exported log, or of a store, told by the gate that holds it."""
+    """Yield the rows of an exported log, or of a store, read from the gate that holds it."""
     if path.is_file():
         with path.open("rb") as file:
             is_store = file.read(len(_SQLITE)) == _SQLITE

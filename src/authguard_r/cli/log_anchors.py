@@ -77,7 +77,7 @@ def known_of(asked: AnchorOptions, embedded: tuple[bytes, ...]) -> KnownLog:
 
     Raises:
         EnvironmentFault: a checkpoint was named, and no key.
-        MalformedError: a checkpoint that was named, or one that was to be verified, is none.
+        MalformedError: a checkpoint that was named, or one that was to be verified, is not valid.
         AuthenticityError: its signature does not hold; or a key or witnesses were named, and no
             checkpoint is signed so.
     """
@@ -95,7 +95,7 @@ def known_of(asked: AnchorOptions, embedded: tuple[bytes, ...]) -> KnownLog:
     longest = max(enough, key=lambda item: item.checkpoint.size, default=None)
     said = [of_checkpoint(item.checkpoint, witnessed=item in enough) for item in seen]
     claims = () if asked.keys or asked.trust else tuple(_claims(embedded))
-    at = len(inside)  # what was kept elsewhere comes last: it is told of
+    at = len(inside)  # what was kept elsewhere comes last: it is reported
     return KnownLog(
         anchors=(*claims, *said[:at], *map(of_terminal, terminals), *said[at:]),
         cosigned=() if longest is None else longest.cosigned,

@@ -93,7 +93,7 @@ def verify_command(
     The first record that is changed, missing, inserted or out of place is named. Only a checkpoint
     that was signed with a key that you name shows that this is the log that was written, as far as
     it reaches; the one in the file goes back with the file, so keep one elsewhere. Naming a key or
-    witnesses demands such a checkpoint. A gate that runs tells its log itself, and nothing else is
+    witnesses demands such a checkpoint. A running gate returns its log itself, and nothing else is
     started beside it. With --reader every box that the key opens is opened, in this process alone,
     and held to what its record commits to.
     """

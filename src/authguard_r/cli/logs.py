@@ -29,7 +29,7 @@ class ReadableLog(Struct, frozen=True):
 
     Args:
         rows: its rows in order; untrusted.
-        gate: who tells them, None: they are the file's.
+        gate: the gate that returns them, None: they are the file's.
         status: that gate's, as it said it.
         notes: checkpoints that lie with the rows, the newest first; not checked.
     """
@@ -42,10 +42,10 @@ class ReadableLog(Struct, frozen=True):
 
 @contextmanager
 def open_log(store: Path) -> Iterator[ReadableLog]:
-    """Yield the log of a store, told by the gate that holds it when one answers, or an export's.
+    """Yield the log of a store, from the gate that holds it when one answers, or an export's.
 
     Raises:
-        MalformedError: an export whose last line is none of one.
+        MalformedError: an export whose last line is not an export's last line.
         StoreError: the file cannot be read; a gate that holds it and does not answer is named.
         AuthGuardError: the gate does not let this user read.
     """

@@ -21,7 +21,7 @@ def payload_of(path: Path) -> bytes:
     """Return the canonical bytes in a file: `compile`'s own, or a token's, its signature unread.
 
     Raises:
-        MalformedError: a token that is none.
+        MalformedError: a token that is not valid.
     """
     data = read_file(path)
     if b'"endorsements"' in data:

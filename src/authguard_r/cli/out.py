@@ -79,7 +79,7 @@ def risk_policy_json(risk: VerifiedPolicy | None) -> dict[str, Any] | None:
 
 
 def report_lines(report: Report) -> list[str]:
-    """Return what became of one proposal, for people."""
+    """Return the result of one proposal, for people."""
     if report.judged is None:
         refusal = report.refusal
         if refusal is None:

@@ -73,7 +73,7 @@ def reader_named(text: str) -> Reader:
     KEY is the public key, or a file with it, as `authguard audit reader --show` prints it.
 
     Raises:
-        BadParameter: it is none of that.
+        BadParameter: it is neither.
     """
     role, _, rest = text.partition(":")
     classes, colon, key = rest.partition(":")

@@ -237,7 +237,7 @@ def recorded(record: Record) -> dict[str, Any]:
 def replayed(
     rows: Iterable[LogRow], replay: LogReplay, out: Listing, opening: LogOpening | None = None
 ) -> Verification:
-    """Verify a log and replay it in one pass; each difference is told as it is found.
+    """Verify a log and replay it in one pass; each difference is reported as it is found.
 
     What is verified is what is stored; what is decided again is what a reader's key opens of it.
 

@@ -81,7 +81,7 @@ class ProposedChange(Struct, frozen=True, kw_only=True):
 
 
 class PlanResult(Struct, frozen=True, kw_only=True):
-    """What became of one plan.
+    """The result of one plan.
 
     Args:
         reports: one for each step that was reached; one alone when the plan could not be read.

@@ -69,7 +69,7 @@ def _mark(store: Path) -> int:
 
 
 def _told(folder: Folder, keys: tuple[NoteKey, ...]) -> Iterator[dict[str, Any]]:
-    """Yield what is told of each segment, in order.
+    """Yield a line for each segment, in order.
 
     Raises:
         StoreError: one is missing, damaged, or does not join the one before.

@@ -211,7 +211,7 @@ def sign_shown(
         signer: the key, whose role was looked at before.
         card: the value for the person who signs it.
         target: where the token goes.
-        payload: what a program is told.
+        payload: the JSON output.
         yes: a script signs: no question is asked, and what was signed is shown afterwards.
         as_json: print the payload; the question goes to standard error.
 
@@ -249,7 +249,7 @@ def accepted_codes(names: list[str], reading: SignerView) -> tuple[LintCode, ...
 
 
 def refuse_lint(reading: SignerView, codes: list[LintCode], *, as_json: bool) -> int:
-    """Say what the signer has to mend or accept, and sign nothing."""
+    """Say what the signer has to fix or accept, and sign nothing."""
     message = f"mend it, or accept each by name: {' '.join(f'--accept {code}' for code in codes)}"
     where = next(f.where for f in reading.findings if f.code in codes)
     if as_json:

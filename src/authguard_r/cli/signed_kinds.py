@@ -35,9 +35,9 @@ class SignedKind(Struct, Generic[T], frozen=True, kw_only=True):
         type: its type.
         roles: the roles that may sign it.
         card: returns the lines for the person who signs it.
-        payload: returns what a program is told of an object and its file.
-        open: returns the object in a token once its signature holds, and what else a program is
-            told then; None: showing it needs more than a trust folder.
+        payload: returns the JSON output for an object and its file.
+        open: returns the object in a token once its signature is valid, and further JSON output;
+            None: showing it needs more than a trust folder.
     """
 
     tag: Tag
@@ -73,7 +73,7 @@ def sign_kind(
         yes: do not ask.
         as_json: print the payload.
         card: the lines that are shown; None: the kind's own.
-        more: what else a program is told.
+        more: further JSON output.
 
     Raises:
         AuthGuardError: the key may not sign this kind, or the token could not be written.

@@ -36,7 +36,7 @@ ReaderOption = Annotated[
 
 
 class LogOpening:
-    """What can be told of a log, row by row from its beginning on.
+    """The readable parts of a log, row by row from its beginning on.
 
     Args:
         key: the reader's; None for a reader without a key.
@@ -77,7 +77,7 @@ class LogOpening:
         return closed_of(record, values, has=self.has, lost=lost)
 
     def _learn(self, row: LogRow) -> None:
-        """Note whose keys a record tells, and which were destroyed."""
+        """Note whose keys a record holds, and which were destroyed."""
         where = f"record {row.seq}"
         record, sealed = read_record(row.record, where=where), read_sealed(row.sealed, where=where)
         if record.kind != SEALING:

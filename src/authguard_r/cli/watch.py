@@ -139,7 +139,7 @@ _LAST_MS = 253_402_300_800_000
 
 
 def _report(event: dict[str, Any]) -> str:
-    """Return what became of a step: who proposed what, the verdict, why, and how it ended."""
+    """Return the report of a step: who proposed what, the verdict, why, and how it ended."""
     action = event.get("action")
     named = action if isinstance(action, dict) else {}
     parts = [event.get("client"), event.get("outcome")]

@@ -46,7 +46,7 @@ def read_questions(said: dict[str, Any]) -> Questions:
     """Return the open requests in a gate's answer.
 
     Raises:
-        MalformedError: they are none.
+        MalformedError: they are not valid.
     """
     try:
         return msgspec.convert(said, Questions)

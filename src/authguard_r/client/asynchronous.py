@@ -125,7 +125,7 @@ class AsyncGateClient:
         timeout_ms: int | None = None,
         repair: bool = False,
     ) -> dict[str, Any]:
-        """Have a plan decided and carried out; return what became of every step.
+        """Have a plan decided and carried out; return the report of every step.
 
         Args:
             plan: exactly what the planner wrote.

@@ -114,7 +114,7 @@ class Attester:
 def since(seen: Measurement, fence: int, fenced_ms: int) -> Snapshot:
     """Return the snapshot with the fence on every value that was measured after it came.
 
-    One clock tells: the machine's monotonic one, on which the sensors say when they measured. A
+    One clock counts: the machine's monotonic one, on which the sensors say when they measured. A
     value of the same millisecond counts as before.
     """
     begun_ms = seen.measured_ms - seen.path_ms

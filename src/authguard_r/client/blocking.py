@@ -131,7 +131,7 @@ class GateClient:
         timeout_ms: int | None = None,
         repair: bool = False,
     ) -> dict[str, Any]:
-        """Have a plan decided and carried out; return what became of every step.
+        """Have a plan decided and carried out; return the report of every step.
 
         Args:
             plan: exactly what the planner wrote.
@@ -184,7 +184,7 @@ class GateClient:
     def emergency(
         self, capability: str, *, key: str | None = None, timeout_ms: int | None = None
     ) -> dict[str, Any]:
-        """Call a capability of the emergency policy; return what became of it.
+        """Call a capability of the emergency policy; return its result.
 
         Args:
             capability: which; the policy says the rest.

@@ -42,7 +42,7 @@ STEP_MS = 20
 SAMPLE_MS = 200
 #: Why a controller ended an action whose gate fell silent.
 RENEWAL_LOST = "RENEWAL_LOST"
-#: So many of the actions that ended are told to a gate that comes back, and not begun again.
+#: A gate that comes back gets so many of the actions that ended; they are not begun again.
 KEPT = 16
 
 
@@ -59,7 +59,7 @@ class ExecutionNews(Struct, frozen=True):
     """What an action brought to light.
 
     Args:
-        content: what the planner is told.
+        content: what the planner sees.
         texts: every word of it that a model could read.
     """
 
@@ -90,7 +90,7 @@ class Body(Protocol):
 
     @property
     def stands(self) -> bool:
-        """It does not move, as far as is known; without an action it was told to."""
+        """It does not move, as far as is known; without an action that it was given."""
         ...
 
     def has_room(self, action: Action) -> bool:
@@ -220,7 +220,7 @@ class ControllerDesk:
     ) -> tuple[OutgoingMessage, ...]:
         """Listen to a server from now on.
 
-        A gate is told at once how the last actions ended, known to it or not, and how many stops
+        A gate hears at once how the last actions ended, known to it or not, and how many stops
         there were, if the robot stands.
 
         Args:

@@ -92,7 +92,7 @@ class Driver:
         self.send(self.desk.tick(mono_ms()))
 
     def send(self, messages: tuple[OutgoingMessage, ...]) -> None:
-        """Send what the desk wants to be sent."""
+        """Send the frames that the controller's state machine wants to send."""
         for sent in messages:
             self._callers[sent.channel].send(frame(sent.kind, sent.id, sent.body))
 
@@ -109,7 +109,7 @@ class Driver:
 
 
 class _Ear:
-    """Brings what one connection says to the desk."""
+    """Passes what one connection says to the controller's state machine."""
 
     def __init__(self, driver: Driver, channel: MessageSource) -> None:
         self._driver = driver

@@ -90,7 +90,7 @@ def require_welcome(welcome: Welcome, greeting: Greeting, *, nonce: str, now: No
     """Require the answer that was asked for, from the gate that was meant.
 
     Args:
-        welcome: from the peer, not believed yet.
+        welcome: from the peer, not verified yet.
         greeting: what was said and is demanded.
         nonce: the one that was sent.
         now: the instant at which the gate's certificate must be valid.

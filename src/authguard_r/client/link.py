@@ -99,7 +99,7 @@ class ProvenConnection(asyncio.Protocol):
 
     Args:
         name: of the channel, in the log.
-        conversation: what is said and believed.
+        conversation: the protocol's state.
         listener: hears of it.
         log: where it says why it hung up.
     """
@@ -308,7 +308,7 @@ def require_folder(run: Path) -> None:
     """Require the folder with the sockets.
 
     Raises:
-        EnvironmentFault: there is none.
+        EnvironmentFault: it does not exist.
     """
     if not run.is_dir():
         raise EnvironmentFault(

@@ -74,8 +74,8 @@ async def listen(run: Path, take: Callable[[Frame, int], None], log: ProcessLog)
 
     Args:
         run: the folder with their socket.
-        take: takes a frame and the monotonic clock; it raises `MalformedError` at one that is none
-            of this robot's sensors, and the connection is made anew.
+        take: takes a frame and the monotonic clock; it raises `MalformedError` at a frame that is
+            not of this robot's sensors, and the connection is made anew.
         log: says what happens.
     """
     pause, path = FIRST_PAUSE_S, str(run / SENSORS)

@@ -45,7 +45,7 @@ _FRAME_COST = 1_024
 _SHORT = 1 << 16
 #: What a gate sends to a controller without being asked.
 PUSHED = frozenset({Kind.DISPATCH, Kind.RENEW, Kind.HALT, Kind.FORWARD})
-#: Who is told things without having asked.
+#: Who receives messages without a request.
 _TOLD = frozenset({ClientRole.CONTROLLER, ClientRole.GATE})
 _ANSWERS = {Kind.WELCOME: _SHORT, Kind.ERROR: _SHORT, Kind.REPLY: MAX_ANSWER}
 
@@ -76,7 +76,7 @@ class _Exchange:
 class ClientSession:
     """The client's side of one connection.
 
-    `greeting` is what it says and demands first; `welcome` is the gate's, once it is believed;
+    `greeting` is what it says and demands first; `welcome` is the gate's, once it is verified;
     `broken` is why nothing goes on.
 
     Args:
@@ -300,9 +300,9 @@ def answer_of(item: Frame) -> dict[str, Any]:
     return read_body(item.body, dict[str, Any])
 
 
-#: What is told of an event before an answer.
+#: Called with each event before an answer.
 OnEvent = Callable[[dict[str, Any]], object]
-#: What the answer to an order calls what became of it; to any other, a standing.
+#: How the answer to an order names its result; to any other, a standing.
 _CALLED = {
     OrderKind.REVOCATIONS: "revocations",
     OrderKind.ACCEPT_STORE: "accepted",
@@ -311,7 +311,7 @@ _CALLED = {
 
 
 def done_of(act: OrderKind, said: dict[str, Any]) -> dict[str, Any]:
-    """Return what became of an order: a standing, a list or a store that was taken in.
+    """Return the result of an order: a standing, a list or a store that was taken in.
 
     Raises:
         MalformedError: the answer does not say.

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """One stop, sent to the stop process and to the gate at once, until it is confirmed.
 
-Either of them can hang or be gone. The log has the stop once, for both are told its name.
-Spec page: docs/spec/gate-protocol.md#a-stop-at-the-gate
+Either of them can hang or be gone. The log has the stop once, for both receive its name. Spec page:
+docs/spec/gate-protocol.md#a-stop-at-the-gate
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ SILENT_S = 1.5
 #: A folder without sockets for so long has no gate, and a gate without a controller for so long has
 #: no robot, in seconds.
 GONE_S = 5.0
-#: A controller that was told to stop says within so long that the robot stands, in seconds. The
-#: stop process sends it again until it answers, also when the caller has left.
+#: How long a controller may take to confirm that the robot stands, in seconds. The stop process
+#: sends it again until it answers, also when the caller has left.
 TOLD_S = 10.0
 #: A socket without a listener belongs to a process that died: how long its restart may take.
 DEAD_S = 30.0
@@ -69,7 +69,7 @@ class StopReply(Struct, kw_only=True):
     """What one part said.
 
     Args:
-        answer: what became of the stop, as it said last; None: it has not answered.
+        answer: the state of the stop, as it said last; None: it has not answered.
         role: what the client was there.
         why: why it has not answered; empty: it is connected, and silent.
         is_gone: no process listens at its socket.
@@ -95,7 +95,7 @@ class StopReply(Struct, kw_only=True):
 
     @property
     def has_told(self) -> bool:
-        """True when it told a controller to stop."""
+        """True when it passed the stop to a controller."""
         return self.answer is not None and self.answer.controller
 
     @property
@@ -108,7 +108,7 @@ class StopReply(Struct, kw_only=True):
 
     @property
     def state(self) -> tuple[bool, ...]:
-        """Whether it has answered, has told a controller, hangs, and is gone."""
+        """Whether it has answered, has passed the stop to a controller, hangs, and is gone."""
         return self.answer is not None, self.has_told, self.hangs, self.is_gone
 
 
@@ -119,7 +119,7 @@ Ask = Callable[[Stop], Awaitable[Stopped]]
 
 
 class StopEverywhere:
-    """One stop on its way; `stop` is what each part is told.
+    """One stop on its way; `stop` is what each part receives.
 
     Args:
         run: the run folder.
@@ -159,9 +159,9 @@ class StopEverywhere:
     ) -> StopReply:
         """Return the best answer: a part's that says that the robot stands, or else any.
 
-        It asks on until the robot stands. It gives up when a controller was told and does not say
-        so within `TOLD_S`, or when none is connected for `GONE_S`. A caller that gives up before
-        cancels it; `answers` says how far it came.
+        It asks on until the robot stands. It gives up when a controller received it and does not
+        confirm it within `TOLD_S`, or when none is connected for `GONE_S`. A caller that gives up
+        before cancels it; `answers` says how far it came.
 
         Args:
             tell: called once a second until the stop is confirmed.
@@ -315,7 +315,7 @@ def stop_of(path: Path, session: ClientSession, ask: Ask, why: str) -> StopEvery
 
 
 def stopped_of(answer: object) -> Stopped:
-    """Return what became of a stop, as a part answered.
+    """Return the state of a stop, as a part answered.
 
     Raises:
         MalformedError: it is no such answer.

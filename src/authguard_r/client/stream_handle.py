@@ -16,7 +16,7 @@ class StreamHandle:
 
     Args:
         gate: the connection that proposed it.
-        ticket: of its release, which `propose` tells of while it waits.
+        ticket: of its release, which `propose` reports while it waits.
     """
 
     def __init__(self, gate: AsyncGateClient, ticket: Digest) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the signed site model tells the decision, in the shape that the decision reads.
+"""The part of the signed site model that the decision reads, in its shape.
 
 `site` makes it from the signed model, `server.wiring` adds the gate's certificate; nothing here
 comes from a request. Spec page: docs/spec/site-model.md
@@ -43,7 +43,7 @@ class ActionKind(Struct, frozen=True, kw_only=True):
         stores: it keeps what it recorded beyond the action.
     transmits: it also sends what it recorded away from the robot.
         privacy: privacy impact, 0 (none) to 3.
-        state_writing: it changes what the robot believes and can never be granted.
+        state_writing: it changes the robot's own belief and can never be granted.
     """
 
     fields: frozenset[str]

@@ -140,7 +140,7 @@ class Grant(_Signed, frozen=True, kw_only=True):
         alternatives: the rows; the action must match one whole row.
         limits: bounds for every parameter that an action may carry; others may not be carried.
         guards: conditions beside the mission's own.
-        data: data rights; said even when there are none, for a default would have two spellings.
+        data: data rights; stated even when there are none, for a default would have two spellings.
         chooser: who may choose among rows.
         after: grants that must have succeeded since this one's last success.
         until: grants whose success closes this one.

@@ -35,7 +35,7 @@ class Chooser(StrEnum):
     PLANNER = "planner"
 
 
-#: Most trusted first. Labels of equal trust are told apart only for the log.
+#: Most trusted first. Labels of equal trust differ only in the log.
 TRUST: tuple[Label, ...] = (
     Label.OPERATOR,
     Label.SUPERVISOR,

@@ -166,5 +166,5 @@ RETRYABLE: tuple[Reason, ...] = (
 
 
 def may_pass_later(reasons: tuple[Reason, ...]) -> bool:
-    """Say whether a refusal for these may pass later: newer state may mend the others, too."""
+    """Say whether a refusal for these may pass later: newer state may settle the others, too."""
     return Reason.STATE_BEFORE_MOTION in reasons or bool(reasons and {*reasons} <= {*RETRYABLE})

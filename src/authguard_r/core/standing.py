@@ -209,7 +209,7 @@ def settle(
         standing: before; a ticket that is not open leaves it as it is.
         mission: the mission that the release was made under.
         ticket: digest of the released action.
-        outcome: what became of it.
+        outcome: its result.
         used: what it really used; it takes the place of what was reserved.
     """
     release = next((r for r in standing.open if r.ticket == ticket), None)

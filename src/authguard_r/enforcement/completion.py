@@ -110,7 +110,7 @@ def repaired_step(step: Step, judged: Judged) -> Step | None:
 def repaired_report(
     report: Report, step: Step, judge: Callable[[Step], Judged], context: ContextLedger
 ) -> Report:
-    """Return the report of a step's repair, decided once; the step's own when there is none.
+    """Return the report of a step's repair, decided once; the step's own without a repair.
 
     A repair opens no approval request while its grant has one. A new request would replace that
     one, and the approvals that the refused step still needs would end with it. The repair is then

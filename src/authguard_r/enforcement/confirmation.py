@@ -148,7 +148,7 @@ def signed_inputs(token: bytes, confirmation: bytes | None, mission: Mission) ->
     """Return what an activation's record seals: the token, and the confirmation or the word `none`.
 
     Raises:
-        MalformedError: the confirmation is none.
+        MalformedError: the confirmation is not valid.
         RefusedError: it is of another mission.
     """
     said = "none" if confirmation is None else read_confirmation(confirmation, mission=mission)

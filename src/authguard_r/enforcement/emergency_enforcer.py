@@ -87,7 +87,7 @@ class JudgedEmergency(Struct, frozen=True, kw_only=True):
 
 
 class EmergencyReport(Struct, frozen=True, kw_only=True):
-    """What became of a call.
+    """The result of a call.
 
     Args:
         call: as it was judged.
@@ -272,7 +272,7 @@ class EmergencyEnforcer:
         quietly(lambda: self._ledger.refuse(entry, fold=fold))
 
     def _revoked(self) -> Findings:
-        """Return that the policy's signer was revoked since it was opened, if he was."""
+        """Return that the policy's signer was revoked since it was opened, if that is so."""
         try:
             require_signer(self.opened, verifier=self._verifier)
         except AuthGuardError as error:
@@ -350,7 +350,7 @@ class EmergencyExecution:
         return self._course.holds
 
     def poll(self) -> EmergencyReport | None:
-        """Look once; return what became of it when it has ended, None while it goes on."""
+        """Look once; return the result when it has ended, None while it goes on."""
         landed = self._course.poll()
         if landed is None:
             return None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one road to the controller: normalize, decide, safety, commit, release, watch, outcome.
+"""The one path to the controller: normalize, decide, safety, commit, release, watch, outcome.
 
 Nothing else calls `decide` for effect or holds a controller. Nothing is dispatched before its
 decision is on disk, except `stop`. Any fault on the way is a refusal with a reason, a place and one

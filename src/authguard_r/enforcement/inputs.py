@@ -151,7 +151,7 @@ class InputVerifier:
         return self.state
 
     def doubt(self, now: Now) -> None:
-        """Believe nothing for having been believed before: who may sign what has changed.
+        """Verify again what was verified before: who may sign what has changed.
 
         Missions are verified anew when they are next asked for. The state is, now: where its
         estimator was revoked there is none until another one attests it.

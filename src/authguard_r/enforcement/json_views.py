@@ -126,7 +126,7 @@ def safety_json(safety: SafetyDecision | None) -> Any:
 
 
 def report_json(report: Report) -> dict[str, Any]:
-    """Return what became of one proposal."""
+    """Return the report of one proposal."""
     judged = report.judged
     whole = {} if judged is None else decision_json(judged, authoritative=True)
     influences = [msgspec.to_builtins(item) for item in report.influences]

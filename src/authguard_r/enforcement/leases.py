@@ -69,7 +69,7 @@ class LeaseMonitor:
         ledger: store and trusted time.
         intake: the newest attested state.
         facts: the signed site and the gate's identity.
-        controller: what is told to stop.
+        controller: stops the robot.
         stand_within_ms: how long a stopped robot may take to stand.
     """
 
@@ -116,7 +116,7 @@ class LeaseMonitor:
             standing = self._ledger.standing(lease.mid)
             found = still(lease, state, facts=self._facts, now=now, standing=standing)
             if not found and self._intake.kept(lease.digest) is None:
-                # who signed it has to be believed anew: a revocation list came
+                # its signer has to be verified anew: a revocation list came
                 self._ledger.run(lambda act: self._intake.mission(act, lease.digest))
         except AuthGuardError as error:
             return (fault_finding(error),)
@@ -200,7 +200,7 @@ class ExecutionResult(Struct, frozen=True, kw_only=True):
 
 
 class ExecutionMonitor:
-    """A dispatched flight until its end: looked at, told to stop once, given up in the end.
+    """A dispatched action until its end: checked, stopped once, given up in the end.
 
     Args:
         watch: the clock, the controller, and how long a stopped robot may take to stand.

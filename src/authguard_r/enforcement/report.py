@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What became of a proposal: as a value, and as the entry that the log keeps.
+"""The report of a proposal: as a value, and as the entry that the log keeps.
 
 A record holds every input that replaying its decision needs; what may be sensitive is committed
 to, what counts and codes lies open. Spec page: docs/spec/audit-record.md
@@ -97,7 +97,7 @@ class Refusal(Struct, frozen=True):
 
 
 class Report(Struct, frozen=True, kw_only=True):
-    """What became of one proposal, for the planner's client, the operator and the log.
+    """The report of one proposal, for the planner's client, the operator and the log.
 
     Args:
         judged: both gates' answers; None when an exception refused it first.
@@ -250,7 +250,7 @@ def outcome_entry(
     now: Now,
     stood_ms: int | None = None,
 ) -> Entry:
-    """Return the record of how a released action ended; `stood_ms` after it was told to stop."""
+    """Return the record of how a released action ended; `stood_ms` after the order to stop."""
     mission = judged.verified.mission
     stood = {} if stood_ms is None else {"stood_ms": stood_ms}
     return Entry(

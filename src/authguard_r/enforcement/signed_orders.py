@@ -74,7 +74,7 @@ class Command(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=Tru
         expires_ms: trusted time after which it is worth nothing.
         issued_ms: when it was signed, by its signer's clock; 0 when it is not given.
         ticket: for `resolve`, the open release.
-        outcome: for `resolve`, what became of it.
+        outcome: for `resolve`, how it ended.
         accepts: for `accept_store`, what is accepted.
         shreds: for `shred`, the classes of sealed fields that are destroyed, sorted.
     """

@@ -133,7 +133,7 @@ class EStopConnection(asyncio.Protocol):
 
     @property
     def connected(self) -> bool:
-        """True while the stop process can be asked and told something."""
+        """True while the stop process answers."""
         return self._line is not None
 
     async def connect(self) -> None:

@@ -27,7 +27,7 @@ class EStopFiles(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     Args:
         run: the run folder; the gate's user owns it.
-        robot: whose lane it is.
+        robot: whose stop process it is.
         trust: the trust folder.
         key: the gate's own key.
         cert: its certificate and its authority's.

@@ -104,7 +104,7 @@ class EStopDispatcher:
     """Every connection of one stop process.
 
     Args:
-        robot: whose lane this is.
+        robot: whose stop process this is.
         config: who may be what; read once.
         own_uid: the stop process's own user, the only one that may be the gate.
         signer: the gate's own key.

@@ -27,7 +27,7 @@ SOCKET, PID, SPOOL = "stop.sock", "stop-lane.pid", "stops.spool"
 FIRST_SPOOL = "operator-stops.spool"
 #: Is there while a stop process serves that a gate started.
 OF_GATE = "stop-lane.of-gate"
-#: Holds the name of the last lane that served here.
+#: Holds the name of the last stop process that served here.
 EPOCH = "stop-lane.epoch"
 
 
@@ -46,7 +46,7 @@ class RunFolder(Struct, frozen=True, kw_only=True):
 
 
 def take_place(run: Path, *, of_gate: bool = False) -> RunFolder:
-    """Return the run folder's stop socket, listening, and held against a second lane.
+    """Return the run folder's stop socket, listening, and held against a second stop process.
 
     A socket without a process behind it is replaced. The folder decides who reaches the socket: its
     group may connect (mode 0660), and who is in it is asked of the kernel.

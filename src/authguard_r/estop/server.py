@@ -2,8 +2,8 @@
 """The stop process: a process in which no decision, no fsync and no mission is in a stop's way.
 
 One thread waits for all sockets at once and blocks on none. Trust, key and configuration are read
-once, at the start: a change of any of them takes a new lane.
-Spec page: docs/spec/gate-protocol.md#stop-lane
+once, at the start: a change of any of them takes a new stop process. Spec page:
+docs/spec/gate-protocol.md#stop-lane
 """
 
 from __future__ import annotations
@@ -146,7 +146,7 @@ class EStopServer:
         except BlockingIOError:  # pragma: no cover - the kernel said that there is something
             return
         except OSError:
-            data = b""  # it closed without reading what it was told
+            data = b""  # it closed without reading its message
         if data:
             self._desk.received(peer, data, now)
         else:

@@ -88,7 +88,7 @@ class Spool:
             self._file = -1
 
     def _take_over(self, data: bytes) -> None:
-        """Read what an earlier lane left, and cut the line that it did not finish."""
+        """Read what an earlier stop process left, and cut the line that it did not finish."""
         whole = data[: data.rfind(b"\n") + 1]
         os.ftruncate(self._file, len(whole))
         self._size = len(whole)
@@ -96,7 +96,7 @@ class Spool:
 
 
 def left_by(*spools: Spool) -> tuple[StopHeard, ...]:
-    """Return every stop that an earlier lane left, in the order in which they came."""
+    """Return every stop that an earlier stop process left, in the order in which they came."""
     return tuple(sorted((s for spool in spools for s in spool.known), key=lambda stop: stop.n))
 
 
@@ -108,7 +108,7 @@ def next_epoch(path: Path, wall_ms: int, known: tuple[StopHeard, ...]) -> int:
     Args:
         path: holds the last name; one that cannot be used is done without.
         wall_ms: milliseconds since 1970.
-        known: what an earlier lane left.
+        known: what an earlier stop process left.
     """
     last = max((stop.epoch for stop in known), default=-1)
     epoch = max(wall_ms, last + 1)

@@ -42,11 +42,11 @@ class EStopReady(Struct, frozen=True, kw_only=True):
 
     Args:
         ready: true.
-        robot: whose lane it is.
+        robot: whose stop process it is.
         socket: where it listens.
         pid: the process.
         epoch: when it started, milliseconds since 1970, and more than an earlier stop process's.
-        unheard: stops that an earlier lane left and no gate has recorded.
+        unheard: stops that an earlier stop process left and no gate has recorded.
         spool: stops can be written to the file.
         favored: the machine gave it priority over others.
         locked: its memory cannot be swapped out.
@@ -111,7 +111,7 @@ def run_lane(
 
     Raises:
         EnvironmentFault: a file is missing, or a stop process serves there already.
-        MalformedError: the configuration is none, or another robot's.
+        MalformedError: the configuration is not valid, or another robot's.
         AuthenticityError: key, certificate or configuration do not hold, or are another robot's.
     """
     signer, config = _read(files)

@@ -75,7 +75,7 @@ class Queue:
         self._sent = {}
 
     def to_send(self) -> list[StopHeard]:
-        """Return what the gate may be told now; it counts as sent."""
+        """Return what the gate may receive now; it counts as sent."""
         room = max(self._window - len(self._sent), 0)
         sent = list(islice(self._unsent.values(), room))
         for stop in sent:
@@ -102,7 +102,7 @@ class Backlog:
 
     Args:
         epoch: this stop process's name, larger than every earlier stop process's.
-        known: what an earlier lane left, in order; numbers go on after them.
+        known: what an earlier stop process left, in order; numbers go on after them.
     """
 
     def __init__(self, epoch: int, known: tuple[StopHeard, ...] = ()) -> None:
@@ -139,7 +139,7 @@ class Backlog:
         self.others.begin()
 
     def to_send(self) -> list[StopHeard]:
-        """Return what the gate may be told now, suspending stops first; it counts as sent."""
+        """Return what the gate may receive now, suspending stops first; it counts as sent."""
         sent = self.first.to_send()
         if self.first.is_told:
             sent += self.others.to_send()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which stops are under way, who was told, and who has said that the robot stands.
+"""Which stops are under way, who received them, and who has confirmed that the robot stands.
 
 Stops that come while one is under way join the next round of `HALT`, sent as soon as this one is
 answered: a robot that stood and moved again in between has never answered them. No input or output
@@ -91,7 +91,7 @@ class PendingStop(Struct, Generic[A], frozen=True, kw_only=True):
 
 
 class Settled(Struct, Generic[A], frozen=True, kw_only=True):
-    """What became of one stop.
+    """The state of one stop.
 
     Args:
         asked: as given.

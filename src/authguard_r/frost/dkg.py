@@ -3,8 +3,8 @@
 
 Two rounds. In the first each commits to a polynomial and proves that it knows the secret in it, or
 the last to speak could choose the group's key. In the second each gives each a share, encrypted,
-with a digest of all offers, so that who told two members different things is seen.
-Source: RFC 9591 section 5.1 by reference, FROST paper figure 1. Spec page: docs/spec/frost.md#dkg
+with a digest of all offers, so that a member who sent two different offers is found. Source: RFC
+9591 section 5.1 by reference, FROST paper figure 1. Spec page: docs/spec/frost.md#dkg
 """
 
 from __future__ import annotations
@@ -162,7 +162,7 @@ def require_offers(secret: Secret, offers: tuple[Offer, ...]) -> dict[int, Offer
 
 
 def transcript(offers: tuple[Offer, ...]) -> Digest:
-    """Return the digest of all offers; members compare it over a road that they trust."""
+    """Return the digest of all offers; members compare it over a channel that they trust."""
     ordered = sorted(offers, key=lambda offer: offer.identifier)
     data = b"authguard-r/frost/dkg-transcript/1\0" + encode(ordered)
     return Digest(b64(sha256(data).digest()))

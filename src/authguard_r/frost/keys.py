@@ -104,7 +104,7 @@ def member(group: Group, identifier: int) -> PrincipalId:
     """Return who has the identifier.
 
     Raises:
-        AuthenticityError: there is none.
+        AuthenticityError: there is none of this name.
     """
     if identifier > len(group.members):
         raise AuthenticityError(

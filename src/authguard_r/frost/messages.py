@@ -325,7 +325,7 @@ class SignatureShare(
         scalar(self.share)
 
 
-#: Every kind of file, told apart by its `kind`.
+#: Every kind of file; the field `kind` distinguishes them.
 File = (
     Group
     | Share

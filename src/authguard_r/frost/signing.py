@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One signature of t people in two rounds, and who is to blame when there is none.
+"""One signature of t people in two rounds, and who is to blame when it fails.
 
 Numbered as in RFC 9591: (5.1) commitments, (5.2) a share, (5.3) the aggregate, (5.4) the cheater.
 Spec page: docs/spec/frost.md#signing

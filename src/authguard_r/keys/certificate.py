@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The certificate profile: root, role authority, leaf; never more, never fewer.
 
-A leaf names one principal and one role. An authority names the roles that it may give. The role
-is an object identifier in the extended key usage, the principal a URI in the alternative name;
-the subject is for people. No path is built: there is one road, and it is walked.
-Spec page: docs/spec/token.md#certificates
+A leaf names one principal and one role. An authority names the roles that it may give. The role is
+an object identifier in the extended key usage, the principal a URI in the alternative name; the
+subject is for people. No path is built: there is one path, and it is walked. Spec page:
+docs/spec/token.md#certificates
 """
 
 from __future__ import annotations

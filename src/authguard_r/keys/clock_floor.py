@@ -25,7 +25,7 @@ def began_ms(certificates: Iterable[x509.Certificate]) -> int:
 
 
 def chain_ms(chain: Iterable[bytes]) -> int:
-    """Return when the last certificate of a chain begins; what is none says nothing."""
+    """Return when the last certificate of a chain begins; an invalid one is skipped."""
     found = 0
     for der in chain:
         with suppress(AuthenticityError):

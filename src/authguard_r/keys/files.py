@@ -128,9 +128,7 @@ def _place(path: Path, data: bytes, mode: int | None) -> None:
     except OSError as error:
         raise _in_the_way(f"cannot write `{path}`: {error.strerror}", path) from error
     finally:
-        with suppress(
-            OSError
-        ):  # it has its place by now, or it is an incomplete file without an owner
+        with suppress(OSError):  # it has its place by now, or it is incomplete
             new.unlink()
 
 

@@ -122,7 +122,7 @@ def leaf_key(chain: tuple[bytes, ...]) -> PublicKey:
     """Return the public key of a chain's leaf certificate; its owner is not verified.
 
     Raises:
-        AuthenticityError: an algorithm that is none of ours, or an unsound key.
+        AuthenticityError: an unknown algorithm, or an unsound key.
     """
     return key_of(load(chain[0], where=_WHERE), where=_WHERE)
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 SCHEME = "pkcs11:"
 #: Longest URI, in characters.
 MAX_URI = 2_048
-#: A value: what RFC 7512 lets stand for itself, and two-digit escapes for anything else.
+#: A value: what RFC 7512 allows unescaped, and two-digit escapes for anything else.
 _VALUE = re.compile(r"(?:[A-Za-z0-9\-._~:\[\]@!$'()*+,=&]|%[0-9A-Fa-f]{2})+")
 _QUERY_VALUE = re.compile(r"(?:[A-Za-z0-9\-._~:\[\]@!$'()*+,=/?|]|%[0-9A-Fa-f]{2})+")
 _ESCAPE = re.compile(rb"%([0-9A-Fa-f]{2})")
@@ -153,9 +153,9 @@ def open_key(uri: str, pin: Passphrase | None) -> TokenKey:
         pin: asked once; a token counts wrong answers and locks.
 
     Raises:
-        MalformedError: the URI is none.
+        MalformedError: the URI is not valid.
         EnvironmentFault: the extra, the module or the token is not there.
-        AuthenticityError: there is no such key, the PIN is wrong, or the key is none to trust:
+        AuthenticityError: there is no such key, the PIN is wrong, or the key is not to be trusted:
             not Ed25519, or it can be read out or could once.
     """
     named = read_key_uri(uri)

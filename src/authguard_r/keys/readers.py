@@ -73,7 +73,7 @@ class ReaderPublic:
 
     @property
     def name(self) -> Digest:
-        """What tells this key from others."""
+        """What distinguishes this key from others."""
         return digest(Tag.RAW, self.raw)
 
     def text(self) -> str:
@@ -155,7 +155,7 @@ def read_public(text: str, *, where: str) -> ReaderPublic:
     """Return the public key that a configuration spells, once something was wrapped for it.
 
     Raises:
-        MalformedError: it is none, or one that keeps no secret.
+        MalformedError: it is not valid, or one that keeps no secret.
     """
     found = ReaderPublic(unb64(text, where=where), where=where)
     try:

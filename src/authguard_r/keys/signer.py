@@ -146,7 +146,7 @@ def read_keys(data: bytes, path: Path) -> tuple[PrivateKey, ...]:
         path: where it was, for messages.
 
     Raises:
-        AuthenticityError: there is none, one is encrypted, or is of no known algorithm.
+        AuthenticityError: there is no key, one is encrypted, or is of no known algorithm.
     """
     if any(mark in data for mark in _FOREIGN):
         # 2,048 rounds of PBKDF2 (L18): what looks protected and is not is worse than plain

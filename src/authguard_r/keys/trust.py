@@ -111,7 +111,7 @@ class Trust:
 
     @property
     def root(self) -> x509.Certificate:
-        """The first root: what a set-up is told apart by."""
+        """The first root: what distinguishes a set-up."""
         return self.roots[0]
 
     def identify(self, chain: tuple[bytes, ...], now: Now) -> Leaf:
@@ -120,9 +120,7 @@ class Trust:
         Raises:
             AuthenticityError: the chain does not hold at `now`.
         """
-        kept = (
-            self._identified
-        )  # what was walked under older lists goes into a cache that is not used any more
+        kept = self._identified  # a walk under older lists fills a cache that is not used
         known = kept.get(chain)
         if known is not None and known.since_ms <= now.utc_ms <= known.leaf.not_after_ms:
             return known.leaf

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bindings: what each field of each planner tool means, and what becomes of it.
+"""Bindings: what each field of each planner tool means, and how it is used.
 
 Every argument is `mapped`, `fixed`, `refused` or `noted` (recorded, not forwarded); what the tool
 does not carry is `fixed` or `monitored` here or `attested` by state. Nothing is guessed: an
@@ -48,7 +48,7 @@ REGION = "region"
 
 
 class ArgumentUse(StrEnum):
-    """What becomes of an argument."""
+    """How an argument is used."""
 
     MAPPED = "mapped"
     FIXED = "fixed"
@@ -60,7 +60,7 @@ class Argument(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=Tr
     """One argument of a planner's tool.
 
     Args:
-        use: what becomes of it.
+        use: how it is used.
         to: the action field it fills: `object`, `destination`, `source`, `route`, `stops`,
             `pose.x`, `pose.y`, `pose.map` or `params.NAME`; within `each`: `region` or a pose.
         per_unit: how many of the parameter's units one of the argument's is (1000 for meters
@@ -150,7 +150,7 @@ class Binding(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=Tru
         schema: the version of this language.
         id: what people call it.
         site: the one site that it is made for; absent: any whose vocabulary has the types.
-        tools: by external name; a list of several ways is told apart by their `when`.
+        tools: by external name; `when` distinguishes several ways of a tool.
     """
 
     schema: Literal["authguard-r/binding/1"]
@@ -227,7 +227,7 @@ def binding_faults(binding: Binding, site: Site) -> Iterator[tuple[str, str]]:
 
 
 def _effect_faults(binding: Binding, site: Site) -> Iterator[tuple[str, str]]:
-    """A refusal of one way is none while another way to the same effect has another name."""
+    """A refusal of one way has no effect while another way to the same effect has another name."""
     movers: dict[str, list[ToolWay]] = {}
     for way in ways(binding):
         kind, effect = site.vocabulary.get(way.tool.type), effect_of(way.tool)
@@ -444,9 +444,7 @@ def _is_value(value: int | str, target: str, kind: ActionModel, site: Site) -> b
         "destination": site.regions,
         "pose.map": {region.map for region in site.regions.values()},
     }
-    return value in frozenset(
-        known.get(target, ())
-    )  # a way or a position is not settled by a value
+    return value in frozenset(known.get(target, ()))  # no value settles a way or a position
 
 
 def _is_factor(text: str) -> bool:

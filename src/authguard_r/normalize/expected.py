@@ -90,7 +90,7 @@ def matches(value: Any, wanted: AnswerMatch) -> bool:
 
 
 def _number(value: Any) -> Decimal | None:
-    """Return a number, or the one number in a text; None: there is none, or several."""
+    """Return a number, or the one number in a text; None for no number, or several."""
     if isinstance(value, str):
         found = _NUMBERS.findall(value)
         return Decimal(found[0]) if len(found) == 1 else None

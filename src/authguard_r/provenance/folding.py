@@ -3,7 +3,7 @@
 
 A sign may write a name in wide forms, with marks over the letters, in letters of another script, or
 in characters that show nothing at all. A model reads it all the same, so a later search for what a
-planner was told must find it. Names that decide anything are compared exactly (`normalize.bind`);
+planner has read must find it. Names that decide anything are compared exactly (`normalize.bind`);
 nothing here is called for those.
 
 Spec page: docs/spec/provenance.md#mentions

@@ -26,7 +26,7 @@ def label_fields(
 
     Args:
         action: the proposal, its names already resolved.
-        verified: the mission it will be held against, None when there is none.
+        verified: the mission that it will be checked against, None without one.
         standing: for signed selections.
         base: the least trusted label of anything the planner could have seen.
     """

@@ -51,7 +51,7 @@ class Mention(Struct, frozen=True, kw_only=True):
     """One name found in a text.
 
     Args:
-        ids: every place or thing that the name may stand for.
+        ids: every place or thing that the name may mean.
         how: how near it is to the site's spelling.
         start: where it begins in the text that was looked at.
         end: where it ends there.
@@ -152,7 +152,7 @@ class MentionNames:
                 yield from self._listed(tokens, first, reached)
 
     def _listed(self, tokens: list[ComparedToken], first: int, last: int) -> Iterator[Mention]:
-        """Yield what further numbers after a name stand for: `stations 101, 102 and 103`."""
+        """Yield further numbers after a name: `stations 101, 102 and 103`."""
         stem = _joined(tokens[first:last])
         if not stem or not tokens[last].text.isdigit():
             return

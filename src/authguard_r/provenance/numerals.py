@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Words of a text, with spoken numbers read as the numbers they are: for evidence only.
+"""Words of a text, with number words read as the numbers they are: for evidence only.
 
 `one hundred and three`, `one-oh-three`, `one twenty three` and `103rd` say a number that a name
 writes in digits. English number words below a million; a text in another language keeps its words.
@@ -99,8 +99,8 @@ def has_humps(text: str) -> bool:
 def joins(one: ComparedToken, other: ComparedToken) -> bool:
     """True when the two, side by side in a text, may be parts of one name.
 
-    Digits join digits only one by one (`1 0 3`) or when they were spoken (`one twenty-three`):
-    `Station 10, 1 nurse` names no station 101. A spoken number does not join over the end of a
+    Digits join digits only one by one (`1 0 3`) or when they were in words (`one twenty-three`):
+    `Station 10, 1 nurse` names no station 101. A number in words does not join over the end of a
     clause: `at the office, one nurse`.
     """
     if other.apart and (one.spoken or other.spoken):
@@ -171,7 +171,7 @@ def _compared(written: str) -> str:
 
 
 def _numbered(tokens: list[ComparedToken]) -> list[ComparedToken]:
-    """Put one token in the place of the words of each spoken number."""
+    """Put one token in the place of the words of each number in words."""
     found: list[ComparedToken] = []
     at = 0
     while at < len(tokens):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A safety gate in another process: asked over a Unix socket, believed only when all is in order.
+"""A safety gate in another process: asked over a Unix socket, trusted only when all is in order.
 
 One connection for one question: one line there, one line back. Every other result (no process
 there, another user's process, too late, too long, not this protocol, an answer to another question
@@ -27,7 +27,7 @@ from authguard_r.core.safety import Hazard, SafetyDecision, SafetyFinding
 from authguard_r.core.state import AttestedState
 from authguard_r.safety.config import ExternalChecker
 
-#: The protocol's name and version; another one is not spoken.
+#: The protocol's name and version; no other one is supported.
 PROTOCOL = "authguard-r/safety-check/1"
 #: Longest answer, in bytes, its line end included.
 MAX_ANSWER = 16_384

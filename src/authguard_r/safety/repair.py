@@ -103,7 +103,7 @@ def _is_way(action: Action, route: tuple[RegionId, ...], facts: SiteFacts) -> bo
 
 
 def touch(one: Polygon, other: Polygon) -> bool:
-    """True when two regions of one floor share a stretch of their outlines; a corner is none.
+    """True when two regions of one floor share a stretch of their outlines; a corner is no stretch.
 
     Wrong reading: true does not mean that there is a door, or that it is open. The site's facts
     have outlines and no doors.

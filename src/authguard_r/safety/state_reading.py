@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the state says, as far as a safety gate believes it."""
+"""The part of the state that a safety gate trusts."""
 
 from __future__ import annotations
 

@@ -112,7 +112,7 @@ def settle_memory(
         turn: of the outcome.
         standing: the mission's, before the outcome.
         mission: under which it was released: of a grant that it calls irreversible even
-            `not_started` is not believed.
+            `not_started` is not trusted.
         ticket: the release.
         outcome: how it ended.
     """

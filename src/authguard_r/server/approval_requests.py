@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Open approval requests, told to those who may answer, and what becomes of them.
+"""Open approval requests, sent to those who may answer, and their results.
 
-What was asked is told from the decision's record, so that the bytes are those that were hashed; a
+What was asked is read from the decision's record, so that the bytes are those that were hashed; a
 value that was destroyed since is shown as absent, and it cannot be approved any more. Spec page:
 docs/spec/gate-protocol.md#approvals
 """

@@ -57,7 +57,7 @@ class _PendingBrake(Struct):
         stop: as it was asked for.
         asked: whose requests are answered with it.
         begun_ms: when it came, on the gate's monotonic clock.
-        halt: the `HALT` whose answer confirms it; None when no controller was told.
+        halt: the `HALT` whose answer confirms it; None when no controller received it.
         stood_ms: after how long the robot stood.
         due_ms: when it is written down; None while it is under way.
         more: stops that were folded into its record.
@@ -113,7 +113,7 @@ class Braking:
         Args:
             client: whose stop it is.
             item: the message.
-            refused: records a message that is none.
+            refused: records a message that is not valid.
         """
         try:
             self._stop(client, item.id, read_body(item.body, Stop))

@@ -18,7 +18,7 @@ from authguard_r.server.queries import GateQueries
 
 
 class DecisionNotices:
-    """Tells the rest of the gate about decisions and outcomes.
+    """Passes decisions and outcomes on to the rest of the gate.
 
     Args:
         enforcer: stops the robot.

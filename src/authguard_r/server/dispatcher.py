@@ -52,7 +52,7 @@ from authguard_r.wire.messages import (
 
 #: Sends an event to every client that watches.
 Publish = Callable[[dict[str, Any]], None]
-#: What became of an order.
+#: The result of an order.
 _Done = Standing | TemplateStanding | VerifiedApproval | Received | AcceptedStore | Shredding
 #: What an answer calls it; anything else is a standing.
 _NAMED: dict[type, str] = {

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Emergencies at a gate: who calls, what runs meanwhile is stopped first, false ones are counted.
 
-A false call stops nothing and changes nothing: it is answered, recorded and told to people. Only
-a call that both gates accept stops what runs. It is judged again once the robot stands, on state
-from after that.
-Spec page: docs/spec/emergency.md#calls
+A false call stops nothing and changes nothing: it is answered, recorded and published. Only a call
+that both gates accept stops what runs. It is judged again once the robot stands, on state from
+after that. Spec page: docs/spec/emergency.md#calls
 """
 
 from __future__ import annotations
@@ -43,12 +42,12 @@ _GATE = Identifier("gate")
 _CALLERS = {ClientRole.PLANNER: Caller.PLANNER, ClientRole.OPERATOR: Caller.OPERATOR}
 
 
-#: What became of calls by client and key; None: it is under way.
+#: Results of calls by client and key; None: it is under way.
 _Answers = dict[tuple[Identifier, str], dict[str, Any] | None]
 
 
 class _CallListener(Struct, frozen=True):
-    """The client that hears what becomes of a call; the gate's own calls have none."""
+    """The client that hears the result of a call; the gate's own calls have none."""
 
     name: Identifier
     caller: Caller
@@ -75,7 +74,7 @@ class EmergencyCalls:
     """The emergency path's clients.
 
     Args:
-        rescue: the road.
+        rescue: carries emergencies out.
         enforcer: refuses proposals while an emergency is under way.
         motions: what moves; emergencies are watched there, too.
         controller: the controller's end; None where nothing is connected to anything.

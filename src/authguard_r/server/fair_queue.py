@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A client as the gate sees it, and the order in which clients are served.
 
-One request of one client at a time, in a ring: who sends much waits for himself, not others for
-him. What is too much is shed by its header, before a byte of its body is parsed.
-Spec page: docs/spec/gate-protocol.md#turns
+One request of one client at a time, in turn: a client that sends much waits for itself, not others
+for it. What is too much is shed by its header, before a byte of its body is parsed. Spec page:
+docs/spec/gate-protocol.md#turns
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class ServedClient:
         uid: its user.
 
     `clogged` is a client that does not read: what it asked waits until it does, so that answers
-    that are not read are not made. `queued` says that the ring has it.
+    that are not read are not made. `queued` says that it stands in the queue.
     """
 
     def __init__(self, line: ClientLine, *, role: ClientRole, name: Identifier, uid: int) -> None:

@@ -56,7 +56,7 @@ class LeaseRegistry:
     """The released actions whose outcome is not recorded yet.
 
     Args:
-        controller: is told which leases still hold; None where there is none.
+        controller: hears which leases still hold; None where there is none.
         streams: what may be sampled while it runs; None where nothing can be.
     """
 
@@ -84,7 +84,7 @@ class LeaseRegistry:
             running: the released action.
             ended: called once, with its final report.
             gone: true once the planner is not connected any more.
-            told: called with everything that it brings to light while it runs.
+            told: called with each result of the action while it runs.
         """
         self._open[running.lease.ticket] = _Motion(running, ended, told)
         streams = self._streams
@@ -93,7 +93,7 @@ class LeaseRegistry:
             running.before_outcome(lambda: streams.ended(running.lease.ticket))
 
     def rescue(self, relief: EmergencyExecution, ended: Callable[[EmergencyReport], None]) -> None:
-        """Watch an emergency; `ended` is called once, with what became of it."""
+        """Watch an emergency; `ended` is called once, with its report."""
         self._open[relief.lease.ticket] = _Motion(relief, ended)
 
     def tell(self, result: Result) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the gate's loop does for its log: checkpoints, witnesses, segments, and what it tells.
+"""What the gate's loop does for its log: checkpoints, witnesses, segments, and alerts.
 
 Spec page: docs/spec/rollback.md#checkpoints, docs/spec/store.md#rotation
 """
@@ -54,12 +54,12 @@ class LogMaintenance:
         self._rotation = rotation
 
     def begin(self) -> None:
-        """Tell of a store that was put back before the gate started."""
+        """Report a store that was put back before the gate started."""
         for told in self._anchor.put_back():
             self._tell(told)
 
     def look(self) -> None:
-        """Make a checkpoint if one is due, see to the witnesses, move records, tell of all that."""
+        """Make a due checkpoint, see to the witnesses, move records, and report all that."""
         for told in self._anchor.tick():
             self._tell(told)
         if self._anchor.put_back():

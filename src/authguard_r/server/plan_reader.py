@@ -90,7 +90,7 @@ class PlanReader:
         Args:
             data: the plan.
             dialect: how it is written.
-            taken: gets the plan, or why there is none.
+            taken: gets the plan, or why it could not be read.
             uid: whose it is.
             wanted: asked when its turn comes: a plan without a waiting client is not read.
 

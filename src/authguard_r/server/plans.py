@@ -83,7 +83,7 @@ class Plans:
         motions: watches what was released.
         proposals: what is recorded of earlier proposals.
         foresight: asks both gates without any effect, and lets a step wait for newer state.
-        disclosure: how much a planner is told.
+        disclosure: how much a planner sees.
         shadow: every step is judged, also after a refused one: nothing is released.
         later: lets a client's next step wait for its turn.
         answered: called with a client whose proposal was answered.
@@ -168,7 +168,7 @@ class Plans:
         Args:
             client: who asks.
             asked: the plan.
-            answer: called once, with the decisions or with why there are none.
+            answer: called once, with the decisions or with the error.
 
         Raises:
             MalformedError: no such dialect.

@@ -147,7 +147,7 @@ class Proposal:
         number: the request's number.
         asked: the request.
         evidence: digest of the planner's exact bytes.
-        disclosure: how much the planner is told.
+        disclosure: how much the planner sees.
         shadow: every step is judged, also after a refused one: nothing is released.
     """
 
@@ -235,7 +235,7 @@ class Proposal:
         self._noting += 1
 
     def noted(self, result: Result) -> Effects:
-        """Go on: everything in a result was noted, so the planner may be told."""
+        """Go on: everything in a result was noted, so the planner may see it."""
         self._noting -= 1
         return (TellResult(len(self._reports), result),)
 

@@ -30,12 +30,12 @@ _KIND = "proposal"
 
 
 class ProposalAnswer(Struct, frozen=True, kw_only=True):
-    """What became of a proposal so far.
+    """The results of a proposal so far.
 
     Args:
         evidence: digest of the planner's exact bytes.
         planned: steps of the plan.
-        steps: what the planner is told of each step that was reached.
+        steps: what the planner sees of each step that was reached.
         on_refusal: what the enforcer did after a refusal.
     """
 
@@ -45,7 +45,7 @@ class ProposalAnswer(Struct, frozen=True, kw_only=True):
     on_refusal: str | None = None
 
 
-#: Numbers of a step's records in the log: its decision, its outcome (-1 while there is none).
+#: Numbers of a step's records in the log: its decision, its outcome (-1 while it has none).
 Numbers = tuple[int, int]
 
 
@@ -92,7 +92,7 @@ class ProposalRegistry:
 
     Args:
         ledger: where effects are held.
-        disclosure: how much a planner is told.
+        disclosure: how much a planner sees.
     """
 
     def __init__(self, ledger: Ledger, disclosure: Disclosure) -> None:
@@ -101,7 +101,7 @@ class ProposalRegistry:
         self._known: OrderedDict[str, ProposalAnswer] = OrderedDict()
 
     def recall(self, client: Identifier, key: str, evidence: Digest) -> ProposalAnswer | None:
-        """Return what became of an earlier proposal under this key, None for a new one.
+        """Return the results of an earlier proposal under this key, None for a new one.
 
         Raises:
             RefusedError: another plan came under it (`KEY_REUSED`).
@@ -114,7 +114,7 @@ class ProposalRegistry:
         return known
 
     def _told(self, turn: Turn, place: str) -> ProposalAnswer | None:
-        """Return what is held under a key, told again from the log."""
+        """Return what is held under a key, read again from the log."""
         held = turn.get(_KIND, place)
         if held is None:
             return None

@@ -47,7 +47,7 @@ def remedy_of(*, emergency: bool = False) -> dict[Reason, str]:
 
 
 def mends_of(codes: Iterable[object], *, emergency: bool = False) -> list[str]:
-    """Return what can be done about these reasons, each once; a code that is none says nothing.
+    """Return what can be done about these reasons, each once; an unknown code is skipped.
 
     Args:
         codes: as a record holds them.

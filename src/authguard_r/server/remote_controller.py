@@ -66,7 +66,7 @@ class Unexplained(Struct, frozen=True):
 
 
 class RemoteGoal:
-    """One dispatched action, as far as the controller has told (`core.ports.Flight`)."""
+    """One dispatched action, as far as the controller has reported (`core.ports.Flight`)."""
 
     def __init__(self, dispatched_ms: int) -> None:
         self.dispatched_ms = dispatched_ms
@@ -248,8 +248,8 @@ class RemoteController:
     def hear(self, message: Begun | Ended | Stood, number: int = 0) -> None:
         """Take in what the controller says.
 
-        One that comes back first tells how its last actions ended, and then that it stands. What
-        it has told nothing of by then is `unknown`: it may be another start of it.
+        A controller that comes back first reports how its last actions ended, and then that it
+        stands. What it has not reported by then is `unknown`: it may be another start of it.
 
         Args:
             message: it.

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What became of a step, read from the log: the same answer as the first time.
+"""The report of a step, read from the log: the same answer as the first time.
 
-The log has it already, so nothing else is held. A value that was destroyed since is told as absent.
-Spec page: docs/spec/gate-protocol.md#idempotency
+The log has it already, so nothing else is held. A value that was destroyed since is shown as
+absent. Spec page: docs/spec/gate-protocol.md#idempotency
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the gate's loop does for sealed fields that have no more time, and tells when it cannot.
+"""What the gate's loop does for sealed fields whose time is over, and its alert when it cannot.
 
 Spec page: docs/spec/sealed-fields.md#retention
 """
@@ -14,7 +14,7 @@ from authguard_r.enforcement.management import Management
 from authguard_r.server.liveness import Liveness
 from authguard_r.wire.gate_limits import LIMITS
 
-#: What people are told while fields stay that were to be destroyed.
+#: The alert while fields stay that were to be destroyed.
 STUCK = "sealed fields are not destroyed"
 
 
@@ -25,7 +25,7 @@ class RetentionWork:
         management: does either, a little at a time.
         mono_ms: the monotonic clock.
         liveness: raises the alert, once until it is over.
-        ended: told that missions may have ended.
+        ended: called when missions may have ended.
     """
 
     def __init__(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One gate for one robot: two that both believe they hold it would each spend what is left.
+"""One gate for one robot: two gates that both hold it would each spend what is left.
 
 Held are things that no other user can take first: an abstract Unix socket's name that cannot be
 foreseen and that says whose gate it is, the run folder's lock, the key's own file, and a lock of
@@ -137,7 +137,7 @@ def _names(stem: bytes) -> list[bytes]:
 
 
 def _holder(names: list[bytes]) -> PeerCredentials | None:
-    """Return the gate of this user, or of root, that has one of the names; a stranger's is none."""
+    """Return the gate of this user, or of root, that has one of the names; ignore strangers."""
     ours, until = {os.geteuid(), 0}, time.monotonic() + _PATIENCE_S
     while True:
         full: list[bytes] = []

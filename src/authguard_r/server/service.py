@@ -160,7 +160,7 @@ class Service:
         )
 
     def begin(self) -> None:
-        """Tell of a store that was put back, and of an emergency journal that is not authentic."""
+        """Report a store that was put back, and an emergency journal that is not authentic."""
         self.log_maintenance.begin()
         if self._parts.emergency is not None and self._parts.emergency.log.strange:
             self.liveness.alert(STRANGE, self._parts.emergency.log.strange)
@@ -285,7 +285,7 @@ class Service:
             self._recovered()
 
     def _recovered(self) -> None:
-        """Say what became of the mission of a gate that did not end cleanly."""
+        """Publish the state of the mission of a gate that did not end cleanly."""
         self.queries.mission.changed()
         if self._recovery.unclean:
             status = self.queries.mission.status

@@ -37,7 +37,7 @@ class ServiceParts(Struct, frozen=True, kw_only=True):
         streams: what may be sampled while it runs; None where there is no controller.
         recovery: settles what the last run left open.
         journal: for administrators of the machine.
-        advance: lets simulated time pass, told whether something moves; None where time is real.
+        advance: lets simulated time pass, with whether something moves; None where time is real.
         rotation: moves the oldest records out of the store; None where there is no file.
         emergency: carries out emergencies; None without a signed policy.
         free_bytes: returns what the store's disk has left; None where there is no disk.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One connection: who it is, which bytes may come, and what becomes of a client that misbehaves.
+"""One connection: who it is, which bytes may come, and how a client that misbehaves is treated.
 
 A connection that says nothing, says too much, never reads, or claims what it may not be is closed;
 the other clients do not notice. Spec page: docs/spec/gate-protocol.md#connections

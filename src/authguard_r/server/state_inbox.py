@@ -11,9 +11,9 @@ from authguard_r.wire.messages import Fence
 
 
 class StateInbox:
-    """Holds the newest snapshot token (`core.ports.StateSource`); nothing in it is believed yet.
+    """Holds the newest snapshot token (`core.ports.StateSource`); it is not verified yet.
 
-    Every estimator is told the newest fence with its first snapshot, and each new one as it comes.
+    Every estimator gets the newest fence with its first snapshot, and each new one as it comes.
     """
 
     def __init__(self) -> None:

@@ -31,7 +31,7 @@ _SILENT = "the stop lane does not answer"
 
 
 class _ToldStop(Struct, frozen=True, kw_only=True):
-    """A stop as the stop process, or the gate itself, tells of it.
+    """A stop as the stop process, or the gate itself, reports it.
 
     Args:
         by: who asked.
@@ -40,7 +40,7 @@ class _ToldStop(Struct, frozen=True, kw_only=True):
         key: names the stop; empty: nothing else is the same.
         why: its words.
         stood_ms: after how long the robot stood; None when it was not confirmed.
-        by_lane: the stop process tells of it, or else the gate itself.
+        by_lane: the stop process reports it, or else the gate itself.
     """
 
     by: Identifier
@@ -56,10 +56,10 @@ class _Known(Struct, frozen=True):
     """What is known of a stop's name.
 
     Args:
-        by_lane: who told of it last.
+        by_lane: who reported it last.
         at_ms: when, on the gate's monotonic clock.
         is_confirmed: a controller said that the robot stood.
-        is_whole: stop process and gate have told of it since.
+        is_whole: stop process and gate have reported it since.
     """
 
     by_lane: bool
@@ -69,15 +69,15 @@ class _Known(Struct, frozen=True):
 
 
 class StopRecorder:
-    """Hears of every stop (`gate.lane.keeper.Listener`).
+    """Hears of every stop (`estop.supervisor.StopListener`).
 
     Args:
         enforcer: records, counts and suspends.
-        controller: is told which stops the gate knows of; None where the gate has none.
+        controller: hears which stops the gate knows of; None where the gate has none.
         view: counts for `status`.
         look: looks at every open lease; called after each stop.
         liveness: alerts.
-        notices: tells those who watch.
+        notices: sends to the clients that watch.
         mono_ms: the gate's monotonic clock.
     """
 
@@ -116,7 +116,7 @@ class StopRecorder:
             self._view.mission.changed()
 
     def taken(self, client: ServedClient, stop: Stop, stood_ms: int | None, more: int) -> None:
-        """Record a stop that the gate itself carried out, unless the stop process told of it.
+        """Record a stop that the gate itself carried out, unless the stop process reported it.
 
         Args:
             client: whose stop it is; an operator's has suspended the mission already.
@@ -185,8 +185,8 @@ class StopRecorder:
     def _recall(self, told: _ToldStop) -> _Known | None:
         """Return what is known of the same stop.
 
-        Stop process and gate each tell of it, and tell again until it is confirmed. Once it is
-        confirmed and one of the two tells of the same name again, that is another stop.
+        Stop process and gate each report it, and report it again until it is confirmed. Once it is
+        confirmed and one of the two reports the same name again, that is another stop.
         """
         if not told.key:
             return None

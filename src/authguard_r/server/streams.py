@@ -39,7 +39,7 @@ StoppingWay = Callable[[int], int | None]
 
 
 class StreamEnd(StrEnum):
-    """Why the gate told a controller that a stream is over; every other end is the outcome's."""
+    """Why the gate ended a controller's stream; every other end is the outcome's."""
 
     PLANNER = "planner"
     DURATION = "duration"
@@ -57,7 +57,7 @@ class _SampleTally(Struct, kw_only=True):
 
 
 class _Closed(Struct, frozen=True):
-    """Why a stream was ended, and when its controller was told so."""
+    """Why a stream was ended, and when its controller got the message."""
 
     why: StreamEnd
     at_ms: int

@@ -48,7 +48,7 @@ class Gate(Struct, frozen=True, kw_only=True):
     """One robot's gate, whole: what a process or a test holds.
 
     Args:
-        enforcer: the road to the controller.
+        enforcer: the path to the controller.
         management: the operator's side.
         ledger: store and trusted time.
         facts: the site and who this gate is.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The symbolic robot as the body behind a controller's desk (`client.controller.Body`)."""
+"""The symbolic robot as the body behind a controller's state machine (`client.controller.Body`)."""
 
 from __future__ import annotations
 

@@ -116,7 +116,7 @@ def asked_velocity(params: Mapping[ParameterId, Integer]) -> Velocity:
 
 
 def scaled(velocity: Velocity, permille: int) -> Velocity:
-    """Return the velocity that a robot really has which goes faster, or slower, than it was told.
+    """Return the real velocity of a robot that goes faster, or slower, than its command.
 
     Args:
         velocity: what was asked for.

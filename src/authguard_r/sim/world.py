@@ -102,7 +102,7 @@ def hypot_mm(x: int, y: int) -> int:
 
 
 def plan_path(site: Site, state: WorldState, action: Action) -> tuple[Point, ...] | None:
-    """Return the corners of the way, from where the robot is, or None when there is none.
+    """Return the corners of the way, from where the robot is, or None without a way.
 
     The route's regions are passed in order; between them the way with the fewest doors is taken.
     A walk or a drive goes straight, and is no way when it ends in no region.

@@ -23,7 +23,7 @@ UNREVIEWED = "unreviewed"
 
 
 class SiteFault(Struct, frozen=True):
-    """One thing to mend: where, and what is expected there."""
+    """One thing to fix: where, and what is expected there."""
 
     where: str
     message: str

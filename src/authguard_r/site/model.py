@@ -67,9 +67,9 @@ class Region(_Model, frozen=True, kw_only=True):
         approach: where a robot halts when it is sent here; inside, away from the edge.
         tags: `public`, `restricted`, `private`, `hazardous`, or the site's own words.
         names: every external spelling.
-        within: the region that this one is part of; inside its edges, on the same map and floor.
-            A grant of the parent is none of this one: a pose here lies in both, and both must be
-            allowed.
+        within: the region that this one is part of; inside its edges, on the same map and floor. A
+            grant of the parent does not count for this one: a pose here lies in both, and both must
+            be allowed.
     """
 
     map: Identifier

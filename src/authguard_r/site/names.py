@@ -126,7 +126,7 @@ def name_faults(site: Site) -> Iterator[tuple[str, str]]:
         told = {thing.item}
         for name in (thing.item, *thing.names):
             spelling, owner = seen.setdefault((thing.group, skeleton(name)), (name, thing.item))
-            both_ids = name == thing.item and spelling == owner  # told by `twin_faults`
+            both_ids = name == thing.item and spelling == owner  # reported by `twin_faults`
             if owner in told or both_ids:
                 continue
             told.add(owner)

@@ -27,7 +27,7 @@ from authguard_r.site.shapes import (
     side_of,
 )
 
-#: Most overlaps that one check tells.
+#: Most overlaps that one check reports.
 MOST_OVERLAPS = 100
 #: Most regions and doors of one site, and how deep a region may lie within others.
 MOST_REGIONS = 2_000
@@ -113,7 +113,7 @@ def _hierarchy_faults(
     sound: Mapping[RegionId, Region],
     outer: Mapping[RegionId, tuple[RegionId, ...]],
 ) -> Iterator[tuple[str, str]]:
-    """Yield parents that are none: unknown, in a cycle, or not around their child."""
+    """Yield parents that are not valid: unknown, in a cycle, or not around their child."""
     left = MOST_EFFORT
     for region, model in site.regions.items():
         if model.within is None:

@@ -81,7 +81,7 @@ def contains(outer: Points, inner: Points) -> bool:
 
 
 def overlap(first: Points, second: Points) -> bool:
-    """True when two simple polygons have an area in common; a common edge is none."""
+    """True when two simple polygons have an area in common; a common edge is no area."""
     return _enters(first, second) or _enters(second, first) or _outline(first) == _outline(second)
 
 
@@ -216,7 +216,7 @@ def stopping_margin(margin_mm: int, speed_mm_s: int, *, reaction_ms: int, brake_
 
     Args:
         margin_mm: of the pose itself.
-        speed_mm_s: the speed at which it is told to stop; its sign does not matter.
+        speed_mm_s: the speed at which it is stopped; its sign does not matter.
         reaction_ms: time until the brakes act.
         brake_mm_s2: deceleration, positive.
     """

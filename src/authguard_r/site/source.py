@@ -58,7 +58,7 @@ def parse_site(text: str, *, where: str) -> Site:
 
 
 def _require_things(data: object, group: str, kind: type[Struct], *, where: str) -> None:
-    """Raise for the first thing of a group that is none, naming it: thirty regions look alike."""
+    """Raise for the first invalid thing of a group, naming it: thirty regions look alike."""
     things = data.get(group) if isinstance(data, dict) else None
     for item in things if isinstance(things, dict) else ():
         if not isinstance(item, str) or not is_identifier(item):

@@ -152,7 +152,7 @@ def convert(data: object, kind: type[T], *, where: str) -> T:
         return msgspec.convert(data, kind)
     except msgspec.ValidationError as error:
         text, _, place = str(error).partition(" - at ")
-        place = place.rpartition(" in ")[2]  # a key's fault is told as "`key` in `$.place`"
+        place = place.rpartition(" in ")[2]  # a key's fault is reported as "`key` in `$.place`"
         place = place.strip("`").removeprefix("$").removeprefix(".")
         joined = f"{where}:{place}" if place else where
         raise MalformedError(text[:1].lower() + text[1:], where=joined) from error
@@ -168,7 +168,7 @@ def require_each(data: object, group: str, kind: type[msgspec.Struct], *, where:
         where: the file's name, for places in messages.
 
     Raises:
-        MalformedError: with the name of the first that is none, and the place in it.
+        MalformedError: with the name of the first invalid thing, and the place in it.
     """
     things = data.get(group) if isinstance(data, dict) else None
     for name, value in things.items() if isinstance(things, dict) else ():

@@ -41,7 +41,7 @@ class Folder:
         return str(self._path / name)
 
     def has(self, name: str) -> bool:
-        """True when there is such a file; a link to one is none."""
+        """True when there is such a file; a link to one does not count."""
         path = self._path / name
         return path.is_file() and not path.is_symlink()
 
@@ -58,7 +58,7 @@ class Folder:
             return (self._path / name).stat().st_size
 
     def create(self, name: str) -> None:
-        """Make an empty file, and the folder where there is none; an old one of the name goes."""
+        """Make an empty file, and the folder where it is missing; an old one of the name goes."""
         with self._told():
             if not self._path.is_dir():
                 self._path.mkdir(mode=0o700)

@@ -189,7 +189,7 @@ class Segments:
         A file of another log in the place of the next one is left where it is.
 
         Args:
-            link_of: tells the link of a row that the store itself has.
+            link_of: returns the link of a row that the store itself has.
 
         Raises:
             StoreError: the folder cannot be written.

@@ -274,7 +274,7 @@ class SqliteStore:
 def open_store(
     path: Path, *, reserve_bytes: int = 0, vfs: str | None = None, folder: Folder | None = None
 ) -> SqliteStore:
-    """Return the store in the file, made anew when there is none.
+    """Return the store in the file, made anew when it is missing.
 
     Args:
         path: the file; its folder must exist.

@@ -521,7 +521,7 @@ def read_held(data: bytes, kind: type[T], what: str) -> T:
     """Return a value that was held; what the store itself cannot spell is its corruption.
 
     Raises:
-        StoreError: the bytes are none.
+        StoreError: the bytes are not valid.
     """
     try:
         return decode(data, kind, where=f"store.{what}")

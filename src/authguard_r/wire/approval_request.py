@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An open approval request as a gate tells it: the bytes that an approver binds himself to.
+"""An open approval request as a gate sends it: the bytes that an approval binds.
 
 What is shown has to be rendered from `scope_bytes` and `situation_bytes` alone, and only once their
 digests are those of the request (`client.questions.shown`). Nothing here carries authority.
@@ -75,7 +75,7 @@ class Question(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         scope: digest of the action's effect.
         situation: digest of the guards' truth and the risk tier.
         scope_bytes: what `scope` is the digest of; null when it was destroyed.
-        situation_bytes: what `situation` is the digest of; null when it cannot be told again.
+        situation_bytes: what `situation` is the digest of; null when it is not available any more.
         guards: the conditions in the order of the situation.
         risk: the score.
         required: people needed, the issuer included.

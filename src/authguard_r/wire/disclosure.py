@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much of a refusal a planner is told, and a report cut down to that."""
+"""How much of a refusal a planner sees, and a report cut down to that."""
 
 from __future__ import annotations
 
 from enum import StrEnum
 from typing import Any
 
-#: What a planner is always told.
+#: What a planner always sees.
 _TOLD = (
     "outcome",
     "reasons",
@@ -20,7 +20,7 @@ _TOLD = (
 
 
 class Disclosure(StrEnum):
-    """How much of a refusal the planner is told.
+    """How much of a refusal the planner sees.
 
     `codes`: reasons only. `fields`: the field of each finding too, not what was expected there.
     `full`: everything that the operator sees, but for the smallest change.

@@ -42,7 +42,7 @@ def to_fault(error: AuthGuardError) -> Fault:
 
 
 def from_fault(fault: Fault) -> AuthGuardError:
-    """Return the exception that a fault stands for.
+    """Return the exception of a fault.
 
     Args:
         fault: from the peer; a code that is unknown here keeps its name in the message.

@@ -71,7 +71,7 @@ class FrameReader:
         self._held += data
 
     def next(self) -> Frame | None:
-        """Return the next frame that is whole, None when there is none yet.
+        """Return the next frame that is whole, None when it is not whole yet.
 
         Raises:
             MalformedError: a kind that may not come here, or a body that is too long.

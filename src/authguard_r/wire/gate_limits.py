@@ -66,7 +66,7 @@ class GateLimits(Struct, frozen=True, kw_only=True):
         stop_connect_s: a stop process accepts the gate within this, seconds.
         stop_retry_s: a stop process that is gone is searched for this often, seconds.
         stop_end_s: a stop process ends within this, seconds; then it is killed.
-        stop_heard_s: the stop process is told what is recorded this often, seconds.
+        stop_heard_s: the stop process hears what is recorded this often, seconds.
         stop_ask_s: the stop process is asked this often whether it works, seconds.
         stop_within_s: without an answer of the stop process in this time nothing moves, seconds.
         stop_silent_looks: questions without an answer until the stop process counts as silent.

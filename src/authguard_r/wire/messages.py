@@ -153,7 +153,7 @@ class Welcome(_Message, frozen=True, kw_only=True):
 
 
 class Proof(_Message, frozen=True, kw_only=True):
-    """What the gate signs to be believed by a client (`Tag.HANDSHAKE`)."""
+    """What the gate signs so that a client trusts it (`Tag.HANDSHAKE`)."""
 
     robot: RobotId
     role: ClientRole
@@ -388,11 +388,11 @@ class Ended(_Message, frozen=True, kw_only=True):
 class Result(_Message, frozen=True, kw_only=True):
     """What an action brought to light while it ran, for the planner that proposed it.
 
-    It passes through the gate, which notes what the planner is about to see before it is told.
+    It passes through the gate, which notes what the planner is about to see before it is sent.
 
     Args:
         ticket: the release.
-        content: what the planner is told, as its front writes it; the gate does not look in.
+        content: what the planner sees, as its front writes it; the gate does not look in.
         texts: every word of it that a model could read.
     """
 
@@ -427,12 +427,12 @@ class Stop(_Message, frozen=True, kw_only=True):
 
 
 class Stopped(_Message, frozen=True, kw_only=True):
-    """What became of a stop (the `REPLY` to `STOP`).
+    """The state of a stop (the `REPLY` to `STOP`).
 
     Args:
-        stopped: every controller that was told has said that the robot stands; false says that it
-            was not confirmed, not that the robot moves.
-        controller: at least one controller was connected, and was told.
+        stopped: every controller that received it has confirmed that the robot stands; false says
+            that it was not confirmed, not that the robot moves.
+        controller: at least one controller was connected, and received it.
         after_ms: from the request to this answer.
     """
 

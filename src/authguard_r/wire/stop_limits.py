@@ -33,7 +33,7 @@ class StopLimits(Struct, frozen=True, kw_only=True):
         tick_ms: due work is checked this often, milliseconds.
         retry_ms: a disk that failed is tried again after this, milliseconds.
         log_ms: dropped connections are logged this often, milliseconds.
-        end_s: a process that is told to end is gone within this, seconds; then it is killed.
+        end_s: a process that gets a signal to end is gone within this, seconds; then it is killed.
         look_s: pause between two looks at a process that ends, seconds.
         priority: added to the niceness of the process, where the system allows it.
     """

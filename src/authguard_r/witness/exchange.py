@@ -64,7 +64,7 @@ class RequestReader:
     def __init__(self) -> None:
         self._data = bytearray()
         self._head: _Head | None = None
-        #: The sender waits to be told to go on (`Expect: 100-continue`).
+        #: The sender waits for permission to go on (`Expect: 100-continue`).
         self.waits = False
 
     @property
@@ -155,7 +155,7 @@ def _read_head(data: bytes) -> _Head | Broken:
 
 
 def _headers(lines: list[str]) -> dict[str, str] | None:
-    """Return headers by their names in lower case; None when one is none, or comes twice."""
+    """Return headers by their names in lower case; None when one is not valid, or comes twice."""
     found: dict[str, str] = {}
     for line in lines:
         name, colon, value = line.partition(":")

@@ -80,7 +80,7 @@ class WitnessRequest(Struct, frozen=True, kw_only=True):
     """A request that has the right form; nothing in it is verified.
 
     Args:
-        old: how long the log was when it was cosigned last, as its sender believes.
+        old: how long the log was when it was cosigned last, as its sender says.
         proof: that what is asked for follows from that.
         note: the checkpoint with its signatures.
         checkpoint: what the note says.
@@ -187,7 +187,7 @@ def require_log_keys(keys: tuple[NoteKey, ...]) -> str:
 
     Raises:
         AuthenticityError: one cannot sign a log's checkpoints (`KEY_INVALID`).
-        MalformedError: there is none, the same one twice, or they are of several logs.
+        MalformedError: it is missing, the same one comes twice, or they are of several logs.
     """
     origins = {key.name for key in keys}
     if len(origins) != 1 or len(set(keys)) != len(keys):

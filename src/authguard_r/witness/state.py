@@ -29,7 +29,7 @@ T = TypeVar("T", bound=Struct)
 
 IDENTITY, KEY, MARK = "witness.json", "witness.key.pem", "mark"
 _LOGS, _EVIDENCE, _ACTS, _LOCK = "logs", "evidence", "acts.jsonl", "lock"
-#: Requests that are kept of each finding, for each log; later ones are only told in the journal.
+#: Requests that are kept of each finding, for each log; later ones are only written to the journal.
 MOST_KEPT = 8
 #: Longest list of what operators did, in bytes: thousands of acts.
 _MOST_ACTS = 1 << 24

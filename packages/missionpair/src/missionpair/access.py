@@ -21,7 +21,7 @@ from missionpair.words import Access, Channel, Family
 
 #: Versions of the two forms.
 CASE, SEEN = "missionpair/case/1", "missionpair/seen/1"
-#: What becomes of a plan.
+#: The result of a plan.
 EXECUTED, REJECTED = "executed", "rejected"
 #: The gate's steps in their order, as `alg:authguard` numbers them.
 GATE_ORDER = (

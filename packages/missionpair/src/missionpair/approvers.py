@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""People who answer by a script, so that waiting for them is told apart from machine time.
+"""People who answer by a script, so that waiting for them is separate from machine time.
 
 Each answer waits a drawn time, with a stated distribution and seed, and then does what a console
 does: read the request, check its bytes, sign, hand in. What it waited and what it worked is
@@ -163,7 +163,7 @@ class Script:
                 heappush(self._waiting, (due_s, now_s, question.counter, name))
 
     def _answer(self, seen_s: float, counter: int, name: str) -> GivenAnswer | None:
-        """Answer; None when the request was over before this person had made up his mind."""
+        """Answer; None when the request was over before this person had decided."""
         begun_s = time.monotonic()
         try:
             question = self._client.approval(counter)

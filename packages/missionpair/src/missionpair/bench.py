@@ -181,7 +181,7 @@ def calls(*steps: tuple[str, dict[str, Any]]) -> bytes:
 
 
 def propose(scene: BenchScene) -> list[Report]:
-    """Send the scene's plan down the whole road, step by step until one is refused."""
+    """Send the scene's plan through the whole product, step by step until one is refused."""
     plan = read_plan(scene.plan, binder=scene.sim.binder)
     reports: list[Report] = []
     for step in plan.steps:

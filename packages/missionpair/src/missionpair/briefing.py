@@ -24,7 +24,7 @@ class OfferedTool(Struct, frozen=True):
 
 
 class EarlierTurn(Struct, frozen=True):
-    """One earlier answer of this planner in this trial, and what it was told of it."""
+    """One earlier answer of this planner in this trial, and what it saw of its result."""
 
     reply: str
     told: str
@@ -98,7 +98,7 @@ class PlannerError(Exception):
     Args:
         code: `unreachable`, `refused`, `protocol`, `limit` or `cost`; of what cannot even be made
             `usage`, an option is wrong, or `file` or `log`, what it reads is not as it has to be.
-        message: what happened, and the mend.
+        message: what happened, and what to do.
         where: the server or the option.
     """
 

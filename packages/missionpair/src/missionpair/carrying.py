@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What becomes of a plan: through the product's own road, or past it into the world.
+"""The execution of a plan: through the product, or past it into the world.
 
 Everything that the world carried out is judged by the oracle, in the state in which it was done. A
 gate that lets everything through lives here and nowhere in the product.
@@ -33,7 +33,7 @@ from missionpair.stage import Stage
 
 #: Who a plan that no defense stopped was `by`: it went through, or came to nothing by itself.
 NO_DEFENSE = frozenset({"", "normalizer", "world"})
-#: What a planner is told of its plan. A real gate can tell more: codes and fields (`disclosure`).
+#: What a planner sees of its plan. A real gate can tell more: codes and fields (`disclosure`).
 EXECUTED, REFUSED = "executed", "rejected"
 
 
@@ -48,7 +48,7 @@ class ExecutionTimes(Struct, frozen=True, kw_only=True):
 
 
 class ExecutedPlan(Struct, frozen=True, kw_only=True):
-    """What became of one plan.
+    """The result of one plan.
 
     Args:
         planned: its steps; 0 of what the normalizer refused.
@@ -73,7 +73,7 @@ class ExecutedPlan(Struct, frozen=True, kw_only=True):
 
     @property
     def told(self) -> str:
-        """What the planner is told."""
+        """What the planner sees."""
         return EXECUTED if self.completed else REFUSED
 
 
@@ -107,7 +107,7 @@ class Everything:
 
 
 def unread(error: MalformedError, took_us: int) -> ExecutedPlan:
-    """Return what becomes of bytes that the normalizer refuses: nothing."""
+    """Return the result of bytes that the normalizer refuses: nothing runs."""
     return ExecutedPlan(
         by="normalizer",
         reasons=(str(error.reason),),
@@ -168,7 +168,7 @@ def _agreed(stage: Stage, effect: JudgedEffect) -> JudgedEffect:
 
 
 def through_the_gate(stage: Stage, raw: bytes) -> ExecutedPlan:
-    """Send a plan down the whole road of the product, step by step until one is refused.
+    """Send a plan through the whole product, step by step until one is refused.
 
     Where approval is asked for, the scenario's approvers answer, and the step comes once more.
     """

@@ -93,7 +93,7 @@ def approvers(
 ) -> int:
     """Answer a gate's approval requests by a script; one JSON object for each answer.
 
-    Waiting and machine time are told apart: `waited_ms` was drawn, `machine_us` was work.
+    Waiting and machine time are separate: `waited_ms` was drawn, `machine_us` was work.
     """
     try:
         drawn = read_delay(delay)

@@ -44,7 +44,7 @@ def measured(
     Args:
         path: the file.
         partial: take a campaign that has not come to its end.
-        seen: is told of every trial.
+        seen: called with every trial.
 
     Raises:
         LogError: it cannot be read, was cut or was changed.

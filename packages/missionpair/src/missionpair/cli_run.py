@@ -251,7 +251,7 @@ def _lines(summary: dict[str, Any], log: Path) -> list[str]:
 
 @contextmanager
 def shown(*, hidden: bool) -> Iterator[Callable[[Progress], None]]:
-    """Give what shows progress on the terminal; nothing where there is none.
+    """Give what shows progress on the terminal; nothing without one.
 
     Meanwhile a request to end (SIGTERM) is as one of the keyboard: what was finished is written,
     and what lies elsewhere for the time of the run is removed.

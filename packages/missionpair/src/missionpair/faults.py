@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goes wrong on the command line: a code, a message with its mend, a place, an exit code.
+"""What goes wrong on the command line: a code, a message with what to do, a place, an exit code.
 
 Spec page: docs/reference/cli.md#exit-codes
 """

@@ -290,8 +290,8 @@ def is_change(stage: Stage, action: Action, reasons: Collection[str]) -> bool:
 
     What the twin does and the mission does not is one. What both do (a replay, a step too fast) is
     one where it violates what the twin violates. The mission's own step at the wrong time or place
-    is none, unless there is more of it: a planner that keeps to its task proposes it, too. Anything
-    else is one, but where only its time is wrong.
+    does not count, unless there is more of it: a planner that keeps to its task proposes it, too.
+    Anything else is one, but where only its time is wrong.
 
     Args:
         stage: the situation.
@@ -321,7 +321,7 @@ def safety_of(stage: Stage) -> EnvelopeGate:
 def proved(walk: Walk, action: Action) -> JudgedEffect:
     """Return what the oracle says of an action in the world and the registry as they are.
 
-    Labels are not told to it: they are this side's own evidence, and no authority.
+    It sees no labels: they are this side's own evidence, and no authority.
     """
     bare = replace(action, provenance={}, meta=None)
     stage, attested = walk.stage, walk.attested()

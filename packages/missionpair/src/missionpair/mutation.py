@@ -97,7 +97,7 @@ def mutate(
         suite: whose attacks are tried; `slice_of` makes a small one.
         yard: where situations are made.
         checks: names from `ablation.CHECKS`.
-        show: told how many pairs are done.
+        show: called with the number of pairs that are done.
 
     Raises:
         StageError: a pair cannot be made real.

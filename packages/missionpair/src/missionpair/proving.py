@@ -51,7 +51,7 @@ def prove(
     Args:
         suite: gives the layouts.
         pairs: which ones; all of the suite's when None.
-        progress: told after each pair.
+        progress: called after each pair.
         yard: where situations are made; None makes one that goes afterwards.
     """
     if yard is None:

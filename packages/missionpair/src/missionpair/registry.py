@@ -16,7 +16,7 @@ from typing import Any
 
 
 class SpecificationError(ValueError):
-    """What a specification asks for cannot be had; the text says the mend."""
+    """A specification asks for something that is not available; the text says what to do."""
 
 
 class UnknownNameError(SpecificationError):

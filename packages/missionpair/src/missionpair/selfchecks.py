@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sixteen self-checks before any number is believed, in the paper's order.
+"""Sixteen self-checks before any number is trusted, in the paper's order.
 
 Signature, replay, robot binding, trusted state, provenance, approval signatures, audit integrity.
 Each tries the real thing and reports what came back. Source: section "Controlled Validation".

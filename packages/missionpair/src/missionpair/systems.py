@@ -118,7 +118,7 @@ def _direct(scene: BenchScene, *, with_safety: bool) -> SystemResult:
 
 
 def _both(scene: BenchScene) -> SystemResult:
-    """Send the plan down the whole road of the product."""
+    """Send the plan through the whole product."""
     result = _attempt(scene)
     if not result.completed and scene.between is not None and not result.effects:
         scene.between(scene)

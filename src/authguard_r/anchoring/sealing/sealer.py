@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Seals what a gate writes: keys of each mission, in this process alone, told in the log.
+"""Seals what a gate writes: keys of each mission, in this process alone, wrapped in the log.
 
 A thief of the robot has its log and cannot read the sealed fields. Another start makes other keys.
 Spec page: docs/spec/sealed-fields.md#keys

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a store holds of sealed fields: where keys are told, and whose fields are kept.
+"""What a store holds of sealed fields: where keys are recorded, and whose fields are kept.
 
 Spec page: docs/spec/sealed-fields.md#retention
 """
@@ -18,7 +18,7 @@ from authguard_r.core.ports import Store, Turn
 from authguard_r.core.reasons import Reason
 from authguard_r.store.transactions import Transaction, read_held
 
-#: Where the store holds which record tells the newest keys of a mission.
+#: Where the store holds which record has the newest keys of a mission.
 HELD = "sealing"
 #: Where it holds what the last gate sealed, and the missions whose fields have an end to come.
 POLICY, _NEWEST, _DUE = "sealing-policy", "newest", "due"
@@ -100,7 +100,7 @@ def newest_keys(turn: Turn | Transaction, mid: str) -> int | None:
     """Return the number of the record with a mission's newest keys; None: nothing was sealed.
 
     Raises:
-        StoreError: what is held is none.
+        StoreError: the stored value is not valid.
     """
     held = turn.get(HELD, mid)
     return read_held(held, KeyRecords, HELD).newest if held else None
@@ -151,7 +151,7 @@ def policy_of(store: Store, given: SealingPolicy | None) -> SealingPolicy:
             had goes on.
 
     Raises:
-        StoreError: what is held is none.
+        StoreError: the stored value is not valid.
     """
     held = None if given is not None else store.read(lambda turn: turn.get(POLICY, _NEWEST))
     return read_held(held, SealingPolicy, POLICY) if held else given or SealingPolicy()

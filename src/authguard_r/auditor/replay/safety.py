@@ -33,7 +33,7 @@ class SecondGate:
             named: the open field that has the configuration's digest.
 
         Raises:
-            MalformedError: it is none, or not the one that the record names.
+            MalformedError: it is no safety configuration, or not the one that the record names.
         """
         if "safety" not in record.committed:
             return

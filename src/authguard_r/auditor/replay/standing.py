@@ -128,7 +128,7 @@ def _settle_as(counted: _Counted, standing: Standing) -> None:
 
 
 def _adopt(counted: _Counted, standing: Standing) -> None:
-    """Count on from a standing that differed: it is told once, however many follow it."""
+    """Continue from a standing that differed: it is reported once, for all that follow it."""
     counted.version, counted.status = standing.version, standing.status
     counted.digest = standing.digest
     counted.open = {release.ticket: release.grant for release in standing.open}

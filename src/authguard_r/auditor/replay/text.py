@@ -21,7 +21,7 @@ NEEDED = ("action", "approvals", "now", "standing", "state")
 
 
 def not_there(record: Record, values: dict[str, Any]) -> str:
-    """Return what a decision is made of and is not told, and why not; empty when all is there.
+    """Return which parts of a decision are missing, and why; empty when all are there.
 
     What was destroyed is destroyed for every reader, so it is said before what is only sealed.
     """

@@ -64,7 +64,7 @@ class BindingReport(Struct, frozen=True, kw_only=True):
         unproven: the ways of which the site has no example; each is a fault.
         assumed: the ways that move the robot and read no answer: everything but an error counts as
             done.
-        faults: everything to mend, with its place; none when the binding holds.
+        faults: everything to fix, with its place; none when the binding is sound.
     """
 
     binding: str

@@ -17,7 +17,7 @@ from authguard_r.core.identifiers import Digest, GrantId
 from authguard_r.core.mission import Grant, Limit, Mission, Row
 from authguard_r.core.reasons import Reason
 
-#: What a new signature can mend; the rest is state, order, time or identity.
+#: What a new signature can fix; the rest is state, order, time or identity.
 MENDABLE = frozenset(
     {
         Reason.EXPIRED,
@@ -48,7 +48,7 @@ def smallest_change(
     Args:
         mission: the version that refused.
         action: the refused action.
-        reasons: why; None is returned when a signature cannot mend one of them.
+        reasons: why; None is returned when a signature cannot fix one of them.
         grant: the nearest grant.
         digest: the digest of the version that refused.
         nonce: fresh.

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What conditions on attested state can tell apart: nothing, something, or everything.
 
-A condition that every value satisfies looks like a guard and is none; conditions that no value
-satisfies together keep two grants apart. Only what a variable's name says of its range is known
-here: no site attests what an estimator will send. Spec page: docs/spec/lint.md
+A condition that every value satisfies looks like a guard and has no effect; conditions that no
+value satisfies together keep two grants apart. Only what a variable's name says of its range is
+known here: no site attests what an estimator will send. Spec page: docs/spec/lint.md
 """
 
 from __future__ import annotations

@@ -82,7 +82,7 @@ def _appeared(facet: Facet, *, is_new: bool) -> Iterator[tuple[Bears, str]]:
 
 
 def _gone(facet: Facet, *, is_over: bool) -> Iterator[tuple[Bears, str]]:
-    """Say what went: of a grant that is gone, its rows stand for all of it."""
+    """Say what was removed: a removed grant stands for all of its rows."""
     if is_over:
         if facet.is_row:
             yield Bears.NARROWS, facet.text()

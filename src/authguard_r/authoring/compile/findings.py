@@ -31,7 +31,7 @@ class LintFinding(Struct, frozen=True, kw_only=True):
         code: its kind.
         where: the place in the mission (`actions[2].guards`).
         message: what is so.
-        mend: what would settle it.
+        mend: how to settle it.
         severity: whether `sign` refuses it.
     """
 

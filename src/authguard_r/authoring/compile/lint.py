@@ -71,7 +71,7 @@ def errors(findings: tuple[LintFinding, ...]) -> tuple[LintCode, ...]:
 
 
 def finding_lines(findings: tuple[LintFinding, ...]) -> list[str]:
-    """Return findings for people, each with its mend."""
+    """Return findings for people, each with how to fix it."""
     return [
         line
         for item in findings

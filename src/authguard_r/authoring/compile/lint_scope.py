@@ -24,9 +24,9 @@ _IDLE = frozenset({"dock", "hold", "wait"})
 def unguarded_returns(scene: LintScene) -> Iterator[LintFinding]:
     """Returning, stopping and waiting end the work: who may cause them, and when?
 
-    Order (`after`) is held by the registry, so it is some condition; attested state is a better.
-    A guard on the whole mission says when its work may be done, not when it may be left; it counts
-    where there is no other work. A guard that always holds is none.
+    Order (`after`) is held by the registry, so it is some condition; attested state is a better. A
+    guard on the whole mission says when its work may be done, not when it may be left; it counts
+    where there is no other work. A guard that always holds has no effect.
     """
     yield from _unguarded(scene.mission, [abandons(g, scene) for g in scene.mission.actions])
 

@@ -27,7 +27,7 @@ class DraftDialog:
         """Return the answer to a question, or None once the question is kept.
 
         Raises:
-            MalformedError: an answer that is none of the candidates.
+            MalformedError: an answer that is not one of the candidates.
         """
         known = tuple(candidates)
         answer = self.answer(field)

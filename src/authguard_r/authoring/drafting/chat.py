@@ -56,8 +56,8 @@ class Chat(Protocol):
         Raises:
             EnvironmentFault: it does not answer, or a package or the key is missing; the message
                 says what to do.
-            MalformedError: the answer is cut off, empty, too long or not plain text, or the
-                address is none.
+            MalformedError: the answer is cut off, empty, too long or not plain text, or the address
+                is not valid.
         """
         ...
 

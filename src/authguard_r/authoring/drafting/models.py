@@ -157,7 +157,7 @@ class _ServerProposer(Struct, frozen=True, kw_only=True):
     """A proposer behind a server; which protocol it speaks is the kind's.
 
     Args:
-        base_url: the only address that is spoken to.
+        base_url: the only address that is contacted.
         model: the model's name there.
         api_key_env: environment variable with the key; None for a server that asks for none.
         schema: the draft's JSON schema.

@@ -329,7 +329,7 @@ class _SentenceReader:
         return True
 
     def _is_extra(self, clause: clauses.Clause, word: str) -> bool:
-        """True for a word of the frame itself; `leave it on the desk` is no `leave it on`."""
+        """True for a word of the frame itself; `leave it on the desk` is not `leave it on`."""
         if word not in frames.EXTRAS.get(clause.frame, ()):
             return False
         return word not in frames.ROLES or not self._next_is_phrase()

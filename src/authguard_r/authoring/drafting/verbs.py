@@ -2,7 +2,7 @@
 """Where a verb stands, and which manners lead it: `carefully please put down`.
 
 A manner between two clauses belongs to one of them only: slowing the other one would let the robot
-hurry where it was told not to.
+hurry where the operator said not to.
 """
 
 from __future__ import annotations

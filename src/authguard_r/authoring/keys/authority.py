@@ -187,7 +187,7 @@ def _pem(chains: _Chains) -> bytes:
 
 
 def answer(folder: Path, chains: tuple[tuple[bytes, bytes], ...]) -> bytes:
-    """Return the answer with these chains, and all that a machine needs to believe them."""
+    """Return the answer with these chains, and all that a machine needs to verify them."""
     roots = read_certificates(folder / "root.pem")
     authorities = {
         name: certificate.public_bytes(Encoding.DER)

@@ -51,7 +51,7 @@ def open_answer(data: bytes, now: Now) -> OpenedAnswer:
     """Return an answer, once everything in it holds under the roots that it brings.
 
     Raises:
-        MalformedError: no canonical answer, an authority that no set-up has, or a list is none.
+        MalformedError: no canonical answer, an authority that no set-up has, or an invalid list.
         AuthenticityError: a certificate or list does not hold at `now`, or an authority gives
             roles that are not its own.
     """
@@ -125,7 +125,7 @@ def install_list(folder: Path, data: bytes, now: Now) -> RevocationList:
     The very list that it holds is there already: nothing is written, and nothing is wrong.
 
     Raises:
-        AuthGuardError: it is none of this folder's authorities, or not newer; nothing was written.
+        AuthGuardError: it is not of this folder's authorities, or not newer; nothing was written.
     """
     trust = read_trust(folder)
     there = trust.in_force(data, now)

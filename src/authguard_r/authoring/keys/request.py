@@ -3,7 +3,7 @@
 
 A request is a PKCS#10 request for each key, which proves that its maker holds the key, and what is
 wanted. Each proof names the digest of what is wanted, so it cannot be changed on the way. An answer
-is the certificates, and everything that a machine needs to believe them. Spec page:
+is the certificates, and everything that a machine needs to verify them. Spec page:
 docs/spec/token.md#requests
 """
 
@@ -116,7 +116,7 @@ class OpenedRequest(Struct, frozen=True, kw_only=True):
 
 
 class CertificateAnswer(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The file that comes back: certificates, and what a machine needs to believe them.
+    """The file that comes back: certificates, and what a machine needs to verify them.
 
     Args:
         format: name and version.

@@ -38,7 +38,7 @@ from authguard_r.keys.revocation import Revocation, sign_list
 from authguard_r.keys.signer import Passphrase, gate_name, open_key_file
 from authguard_r.site.model import Site, profile_digest
 
-#: What the files of the second root, and of everything under it, are told apart by.
+#: What distinguishes the files of the second root, and of everything under it.
 SUFFIXES = ("", "-2")
 #: What the root of a set-up for trying things out is called.
 DEMO = "AuthGuard-R demo root"

@@ -86,7 +86,7 @@ class ModelAddress(Struct, frozen=True, kw_only=True):
     """One model at one server.
 
     Args:
-        base_url: the only address that is spoken to; redirects and proxies are not followed.
+        base_url: the only address that is contacted; redirects and proxies are not followed.
         model: the model's name there.
         key_env: name of the environment variable that holds the key; empty for a server that asks
             for none.

@@ -2,8 +2,8 @@
 """What planners' calls looked like: for each tool, each field's kinds, ranges and words.
 
 Nothing is understood here: a field is a path, a value is a value. An attacker who fed the planner
-chose both, so every count, name and word is bounded, and what cannot be told apart is left out with
-a reason. How-to: docs/howto/onboarding.md
+chose both, so every count, name and word is bounded, and calls that cannot be distinguished are
+left out with a reason. How-to: docs/howto/onboarding.md
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ MAX_ALL = 1_500
 MAX_WORDS = 64
 MAX_WORD = 200
 
-#: What tells calls of one rosbridge operation apart.
+#: What distinguishes the calls of one rosbridge operation.
 _REACHED = {operation: name for operation, name, _, _ in OPERATIONS.values()}
 #: One way of a tool: its name, and for rosbridge what it reaches.
 WayKey = tuple[str, tuple[str, str] | None]

@@ -84,7 +84,7 @@ def read_mcp(text: str, *, where: str) -> tuple[ListedTool, ...]:
         where: the file's name, for places.
 
     Raises:
-        MalformedError: with the place; a page of a longer list is none.
+        MalformedError: with the place; also for one page of a longer list.
     """
     value = read_json(text, where=where)
     if isinstance(value, dict) and isinstance(value.get("result"), dict):
@@ -103,7 +103,7 @@ def read_openai(text: str, *, where: str) -> tuple[ListedTool, ...]:
         where: the file's name, for places.
 
     Raises:
-        MalformedError: with the place; a tool that the model's server runs itself is none.
+        MalformedError: with the place; also for a tool that the model's server runs itself.
     """
     lines = [line for line in text.splitlines() if line.strip()]
     if len(lines) > 1 and all(

@@ -74,7 +74,7 @@ _NUMBERS = ("whole number", "number")
 
 
 class Meaning(Struct, frozen=True, kw_only=True):
-    """What becomes of one way in the proposal.
+    """The proposal's decision for one way.
 
     Args:
         key: the tool, and what it reaches.

@@ -154,7 +154,7 @@ def mission_page(
 
 
 class _OpenQuestions:
-    """The open questions, each told at its place.
+    """The open questions, each at its place.
 
     Args:
         questions: draft path and question.
@@ -224,7 +224,7 @@ def _questions(plain: dict[str, Any], site: Site) -> tuple[tuple[str, str], ...]
 def binding_page(meanings: tuple[Meaning, ...], site: Site) -> str:
     """Return the proposed binding; one that would be unsound as a whole refuses every tool.
 
-    Where the site has no type for what is refused, a refused tool is only told of: a tool that is
+    Where the site has no type for what is refused, a refused tool is only mentioned: a tool that is
     not bound is refused too.
     """
     has_refused = UNHELD in site.vocabulary

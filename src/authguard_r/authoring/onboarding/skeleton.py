@@ -49,7 +49,7 @@ class Skeleton(Struct, frozen=True, kw_only=True):
 
 
 class _RefusedWay(Struct, frozen=True):
-    """One refused way: the tool, what tells it apart, its fields, its ROS message and body."""
+    """One refused way: the tool, what distinguishes it, its fields, its ROS message and body."""
 
     tool: str
     when: dict[str, str]

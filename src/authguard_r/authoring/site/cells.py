@@ -70,7 +70,7 @@ def cut_until_simple(areas: Iterable[Area], *, most: int, where: str) -> tuple[A
 
     Args:
         areas: connected cells of any shape.
-        most: how many areas may become of it.
+        most: how many areas may result from it.
         where: the place of the map, for messages.
 
     Raises:
@@ -128,7 +128,7 @@ def _meeting(below: tuple[Run, ...], above: tuple[Run, ...]) -> Iterator[tuple[R
 def _cut(area: Area) -> tuple[Area, ...] | None:
     """Return the parts of an area that is not simple, None for one that is.
 
-    Of several lines that mend something the one nearest to the middle is taken, so that a
+    Of several lines that improve something the one nearest to the middle is taken, so that a
     speckled map is halved again and again and not peeled line by line.
     """
     low, high = min(area.rows), max(area.rows) + 1

@@ -37,7 +37,7 @@ from authguard_r.site.names import shown
 from authguard_r.site.places import adjacent
 from authguard_r.site.strict import convert, read_text, read_yaml
 
-#: Most cells of a map (100 m by 100 m at 5 cm), and most regions that become of it.
+#: Most cells of a map (100 m by 100 m at 5 cm), and most regions that result from it.
 MOST_CELLS = 4_000_000
 MOST_REGIONS = 500
 #: Most stretches of free cells, row by row; a surveyed floor of full size has a tenth.

@@ -46,7 +46,7 @@ class _Node(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class _SceneFile(Struct, frozen=True, forbid_unknown_fields=True):
-    """The file. What is `extra` stands for variants of the scene, and is not part of it."""
+    """The file. `extra` is for variants of the scene, and is not part of it."""
 
     regions: tuple[_Node, ...]
     objects: tuple[_Node, ...] = ()
@@ -141,7 +141,7 @@ def import_scene(
 
 
 def _read(text: str, where: str) -> object:
-    """Return JSON without duplicate keys and numbers that are none."""
+    """Return JSON without duplicate keys and numbers that are not valid."""
 
     def fail(what: str) -> NoReturn:
         raise MalformedError(f"expected JSON without `{shown(what)}`", where=where)

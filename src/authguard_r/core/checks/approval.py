@@ -88,7 +88,7 @@ def check_approval(case: Case, grant: Grant, need: Need) -> Findings:
 
 
 def find_preapproval(case: Case, grant: Grant, row: Row, need: Need) -> VerifiedPreApproval | None:
-    """Return a pre-approval that stands in for the approvals that step 7 asks; None: there is none.
+    """Return a pre-approval that stands in for the approvals that step 7 asks; None without one.
 
     The caller has asked step 7: this very action was not denied.
     """

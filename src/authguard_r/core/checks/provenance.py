@@ -58,7 +58,7 @@ def check_provenance(case: Case, indexed: IndexedGrant) -> Findings:
 def allowed_sources(field: SourceField, case: Case, grant: Grant) -> frozenset[Label | None]:
     """Return AllowedSrc(f): what the paper, the grant's chooser, the site and the mission allow.
 
-    An unknown label, None, is allowed where every label is: it can be none that is not.
+    An unknown label, None, is allowed where every label is: it cannot be one that is not.
     """
     allowed: frozenset[Label | None] = WIDEST[field]
     if field in CHOSEN and grant.chooser is not Chooser.PLANNER:

@@ -6,8 +6,8 @@ one slot, written whole and synced before the call returns; a slot that was torn
 slot is used again only once the log has what was in it.
 
 The file may lie on a disk that others can write. So each slot is authenticated under a key that
-only this gate has for this store, and what is not authentic is counted and never believed.
-Spec page: docs/spec/emergency.md#journal
+only this gate has for this store, and a slot that is not authentic is counted and never used. Spec
+page: docs/spec/emergency.md#journal
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ class EmergencyJournal:
         self._file = -1
         self._known: dict[int, Journaled] = {}
         self._strange: dict[int, int | None] = {}
-        #: The file's size when it was opened, when that is none that this class leaves behind.
+        #: The file's size when it was opened, when this class never leaves such a size behind.
         self.odd_size: int | None = None
         self.lost = 0
         self._last = 0

@@ -82,7 +82,7 @@ def _capability(capability: Capability, site: Site, profile: Profile) -> Iterato
 
 
 def _harmless(model: ActionModel) -> Iterator[tuple[str, str]]:
-    """No capability records, transmits, waits on purpose or changes what the robot believes."""
+    """No capability records, transmits, waits on purpose or changes the robot's own belief."""
     for flag in ("records", "stores", "transmits", "state_writing", "waits"):
         if getattr(model, flag):
             yield "type", f"a type that says `{flag}` is no emergency's"

@@ -218,7 +218,7 @@ class Management:
         return self._do(lambda act: take_answer(act, token, why, self._ledger, parts=self._parts))
 
     def hold_policy(self, policy: VerifiedPolicy | None) -> None:
-        """Hold the organization's risk policy, or that there is none, against what was seen.
+        """Compare the organization's risk policy, or its absence, with what was seen.
 
         Asked once, before anything is decided; what is in force is the wiring's (`SiteFacts.risk`).
 
@@ -227,7 +227,7 @@ class Management:
 
         Raises:
             RefusedError: it is older than one that was seen, another of the same version or of
-                another organization; or there is none, and there was one.
+                another organization; or it is missing, and there was one.
         """
         attempt(self._ledger, lambda act: hold_policy(act, policy))
 
@@ -266,7 +266,7 @@ class Management:
     def started(self) -> bool:
         """Mark this gate as running, on disk; True when the one before never stopped cleanly.
 
-        Asked once, before anything is served; `recover` is told the answer.
+        Asked once, before anything is served; `recover` gets the answer.
 
         Raises:
             EnvironmentFault: nothing was marked.

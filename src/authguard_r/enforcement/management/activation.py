@@ -39,7 +39,7 @@ from authguard_r.store.issued_missions import (
 from authguard_r.store.transactions import Transaction, stop_stands
 from authguard_r.wire.gate_limits import LIMITS
 
-#: How a mission ends by itself, and why. A stale list is none of it: the next one may mend that.
+#: How a mission ends by itself, and why. A stale list is not part of it: the next one may end that.
 _ENDS: dict[Reason, Event] = {
     Reason.EXPIRED: Event.EXPIRE,
     Reason.MISSION_COMPLETED: Event.COMPLETE,

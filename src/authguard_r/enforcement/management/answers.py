@@ -27,9 +27,9 @@ def take_answer(
 ) -> VerifiedApproval:
     """Keep an answer; what repeats one that is in the log already leaves no further record.
 
-    A denial that fits closes its request in the same commit: what becomes of the denier's
-    certificate later changes nothing. An answer before its question adds nothing to the store, an
-    answer afterwards leaves one mark; neither is a consent.
+    A denial that fits closes its request in the same commit: a later revocation of the denier
+    changes nothing. An answer before its question adds nothing to the store, an answer afterwards
+    leaves one mark; neither is a consent.
 
     Args:
         act: the act.

@@ -35,7 +35,7 @@ class Configuration(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """One part of a gate's configuration.
 
     Args:
-        digest: of what was signed, or is in force unsigned; "-": there is none.
+        digest: of what was signed, or is in force unsigned; "-" for neither.
         version: its signed version; 0 where it is not signed or has none.
     """
 

@@ -3,7 +3,7 @@
 
 A list is signed by its authority, so anyone may install it. It never gives way to an older one: its
 number is above that of the list in force, and what was in force once is held in the store, in the
-same commit as its record. What was believed before is believed anew. Spec page:
+same commit as its record. What was verified before is verified anew. Spec page:
 docs/spec/token.md#revocation
 """
 
@@ -52,7 +52,7 @@ class Lists:
 
     Args:
         ledger: store and trusted time.
-        intake: what it believed is believed anew.
+        intake: verifies anew what it verified before.
         trust: where the lists are in force.
         chain: the gate's own certificates.
         dismissed: called when a list revokes these: the gate releases nothing any more.

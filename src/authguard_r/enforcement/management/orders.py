@@ -139,7 +139,7 @@ def _carried_out(
 
 
 def _refusal(verb: Verb, standing: Standing) -> str:
-    """Return why nothing became of an order, and what would: open releases are resolved first."""
+    """Return why an order has no effect, and what would have: open releases are resolved first."""
     told = f"the mission is {standing.status}: no {verb}"
     if verb is not Verb.RESUME or not standing.open:
         return told

@@ -102,7 +102,7 @@ def require_signed_since(
 
     Args:
         act: the act, which knows when the store was accepted.
-        issued_ms: when its signer says that it was signed; 0 where he did not say.
+        issued_ms: when its signer says that it was signed; 0 when it is not given.
         where: the place of that.
 
     Raises:
@@ -150,7 +150,7 @@ def hold_suspended(act: Transaction, mid: MissionId, issued_ms: int, *, again: b
     Args:
         act: the act.
         mid: the mission.
-        issued_ms: when its signer says that it was signed; 0 where he did not say.
+        issued_ms: when its signer says that it was signed; 0 when it is not given.
         again: it was suspended already; what was held counts if it is later.
     """
     before_ms = int(act.get("suspended", mid) or 0) if again else 0
@@ -164,7 +164,7 @@ def require_newest(act: Transaction, key: str, issued_ms: int, *, over_ms: int =
     Args:
         act: the act.
         key: what the order is about: only the newest of one object counts.
-        issued_ms: when its signer says that it was signed; 0 where he did not say.
+        issued_ms: when its signer says that it was signed; 0 when it is not given.
         over_ms: when what it would undo happened here.
 
     Raises:

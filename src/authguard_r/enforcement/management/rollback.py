@@ -36,7 +36,7 @@ _LEAP = 1 << 32
 
 
 class AcceptedStore(Struct, frozen=True, kw_only=True):
-    """What became of an order to go on with a store.
+    """The result of an order to go on with a store.
 
     Args:
         store: L_0.

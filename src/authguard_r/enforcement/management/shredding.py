@@ -67,7 +67,7 @@ class Shredding(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     Args:
         mid: the mission; `-` for the records of none.
         classes: whose fields go.
-        keys: numbers of the records that told the keys.
+        keys: numbers of the records that hold the keys.
         at: where the next turn goes on.
         end: the first record that has other keys, or none.
         order: number of the record of the order.
@@ -84,7 +84,7 @@ class Shredding(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class _Keys(Struct, frozen=True, kw_only=True):
-    """One record that tells keys, and when they were used."""
+    """One record that holds keys, and when they were used."""
 
     seq: int
     since_ms: int
@@ -213,7 +213,8 @@ def _required(
 ) -> tuple[_Keys, ...]:
     """Return the keys that may be destroyed now.
 
-    What is destroyed with a class tells of others too, so it is kept as long as any has to be.
+    A value that is destroyed with a class reveals others too, so it is kept as long as any has to
+    be.
 
     Raises:
         RefusedError: the mission did not end, its fields are to be kept, or there are none.
@@ -329,7 +330,7 @@ def _keys(
         mid: the mission.
         classes: any of them.
         most: so many at most.
-        whole: look behind keys that are destroyed, too; else nothing before them is told.
+        whole: look behind keys that are destroyed, too; else nothing before them is reported.
     """
     found: list[_Keys] = []
     names = {WRAP + data for data in classes}

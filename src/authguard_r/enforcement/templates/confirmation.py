@@ -76,7 +76,7 @@ def template_inputs(
     """Return what a template's record seals: the token, and the confirmation or the word `none`.
 
     Raises:
-        MalformedError: the confirmation is none.
+        MalformedError: the confirmation is not valid.
         RefusedError: it is of another template.
     """
     said: object = "none"

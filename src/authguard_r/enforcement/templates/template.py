@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A template as it is signed, and where a hole may stand in it.
 
-A hole stands for one identifier or one integer, never for a part of a mission's shape: which
-grants there are, with which tools, how often, in which order and who must approve is said by the
-template alone. Spec page: docs/spec/template.md
+A hole stands for one identifier or one integer, never for a part of a mission's shape: which grants
+there are, with which tools, how often, in which order and who must approve stands in the template
+alone. Spec page: docs/spec/template.md
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ def require_sound(template: Template) -> None:
 
 
 def hole_of(value: object) -> HoleName | None:
-    """Return the name of the hole that a value is, None when it is none."""
+    """Return the name of the hole that a value is, None when it is no hole."""
     if not isinstance(value, dict) or set(value) != {"hole"}:
         return None
     name = cast("dict[str, object]", value)["hole"]

@@ -80,7 +80,7 @@ class WaitingCaller(Struct, frozen=True, kw_only=True):
     ticket: Future[Digest | None] = field(default_factory=Future)
 
     def told(self, step: Mapping[str, Any]) -> None:
-        """Take note of the first ticket that the gate tells of."""
+        """Take note of the first ticket that the gate reports."""
         if not self.ticket.done():
             self.ticket.set_result(step.get("ticket"))
 
@@ -376,7 +376,7 @@ def in_loop(
 
 
 def kept_of(value: Any) -> FunctionResult:
-    """Return what a function returned; work that is still to be done is none."""
+    """Return what a function returned; an unfinished coroutine is an error."""
     if is_lazy(value):
         if inspect.iscoroutine(value):
             value.close()
@@ -392,7 +392,7 @@ def told_of(number: str, texts: tuple[str, ...]) -> ExecutionNews:
 
 
 def named(error: BaseException) -> str:
-    """Return an exception as a model may be told it."""
+    """Return an exception as a model may see it."""
     try:
         said = str(error)
     except Exception:  # noqa: BLE001 - its own code

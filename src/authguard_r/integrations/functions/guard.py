@@ -159,7 +159,7 @@ class GateGuard:
 
         Raises:
             MalformedError: the binding has no such tool, or it has a function already, or the
-                binding's call is none of this function.
+                binding's call does not fit this function.
         """
         self._registry.add(name, function, coroutine, words or words_of, fields or fields_of)
 
@@ -248,7 +248,7 @@ class GateGuard:
         return self._background.begin(self._ends.planner.unreadable(tool, plain))
 
     def close(self) -> None:
-        """Let go of the gate; what still runs is told to it as lost."""
+        """Let go of the gate; what still runs is reported to it as lost."""
         self._background.close()
         self._functions.close()
 

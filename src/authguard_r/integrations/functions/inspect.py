@@ -46,7 +46,7 @@ class _View(_tool.ToolCallView):  # type: ignore[misc]
 def guard_tools(guard: GateGuard, tools: Sequence[Any]) -> list[Any]:
     """Return tools that a model is shown alike, and that call nothing past the gate.
 
-    A refusal is a tool error that the model is told.
+    A refusal is a tool error that the model sees.
 
     Args:
         guard: has the functions from now on; the given tools are still the given tools.
@@ -119,7 +119,7 @@ def _guarded(guard: GateGuard, definition: Any) -> Any:
 
 
 def _approved(name: str, arguments: dict[str, Any]) -> CallTurn | None:
-    """Return the turn of the very call that was approved in this task; None: there is none.
+    """Return the turn of the very call that was approved in this task; None without one.
 
     What came in between may have changed the call: then the approved one is given up.
     """
@@ -141,7 +141,7 @@ def _authguard(gone: str = "reject") -> Any:
     tool that is not guarded is rejected: it would run past the gate.
 
     Args:
-        gone: what becomes of a call that the gate has not decided: `reject`, or `terminate`, which
+        gone: the result of a call that the gate has not decided: `reject`, or `terminate`, which
             ends the sample.
 
     Raises:

@@ -58,8 +58,7 @@ def guard_tools(
     Args:
         guard: has the functions from now on; the given tools are still the given tools.
         tools: each one of the guard's binding.
-        raises: raise `Refused` and `Failed`; else they are what the model is told, as an error of
-            the tool.
+        raises: raise `Refused` and `Failed`; else the model sees them as an error of the tool.
 
     Raises:
         MalformedError: the binding has no such tool, or it decides on an argument that the

@@ -71,7 +71,7 @@ def guard_agent(guard: GateGuard, agent: Agent[Any]) -> Agent[Any]:
 def guard_tools(guard: GateGuard, tools: Sequence[Tool]) -> list[Tool]:
     """Return tools that a model is shown alike, and that call nothing past the gate.
 
-    What the gate refuses is what the model is told, and the run goes on.
+    The model sees what the gate refuses, and the run goes on.
 
     Args:
         guard: has the functions from now on; the given tools are still the given tools.

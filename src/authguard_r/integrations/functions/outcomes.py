@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a caller is told of a call that did not bring back what its function returned.
+"""What a caller gets for a call that did not bring back what its function returned.
 
     NotDone
     ├── Refused     nothing was called
     ├── Failed      it was released, and did not succeed, or nobody knows
     └── Repeated    it succeeded before, under the same key
 
-The text of each is what a model may be told, and no more than the gate tells a planner.
+The text of each is what a model may see, and no more than a planner may.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ class NotDone(Exception):  # noqa: N818 - what it says, not what is wrong
     """A call that brought nothing back.
 
     Args:
-        text: what a model may be told.
-        report: what the gate tells a planner, with `execution` (how the released action ended,
+        text: what a model may see.
+        report: the gate's report for a planner, with `execution` (how the released action ended,
             None when nothing was released) and `repeated`.
     """
 
@@ -41,11 +41,11 @@ class Refused(NotDone):
 
 
 class Failed(NotDone):
-    """It was released and did not succeed, or what came of it cannot be told."""
+    """It was released and did not succeed, or its result cannot be shown."""
 
 
 class Repeated(NotDone):
-    """It succeeded before under this key; what it returned is not told twice."""
+    """It succeeded before under this key; its result is not returned twice."""
 
 
 def refused(asked: CallOutcome) -> Refused:
@@ -69,5 +69,5 @@ def lost(error: AuthGuardError) -> Failed:
 
 
 def report_of(asked: CallOutcome) -> dict[str, Any]:
-    """Return what a caller is told of a call beside what came of it."""
+    """Return what a caller gets for a call beside its result."""
     return {**asked.verdict, "execution": asked.execution, "repeated": asked.repeated}

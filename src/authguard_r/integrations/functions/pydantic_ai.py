@@ -120,8 +120,8 @@ class _AsWritten:
 class GuardedToolset(WrapperToolset[Any]):
     """A toolset whose every tool calls nothing but a guard.
 
-    A refusal is a failed result that the model is told (`ToolFailed`): it costs no retry, so that
-    the run goes on; `UsageLimits` bound how often a model may insist.
+    A refusal is a failed result that the model sees (`ToolFailed`): it costs no retry, so that the
+    run goes on; `UsageLimits` bound how often a model may insist.
 
     Args:
         guard: has the tools of the binding from now on.

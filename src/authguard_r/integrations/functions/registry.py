@@ -50,7 +50,7 @@ class Registry:
         """Return the call of a registered function that carries an action out.
 
         Raises:
-            MalformedError: there is none.
+            MalformedError: the binding has no such tool.
         """
         return self._rebuilder.rebuild(action)
 
@@ -177,7 +177,7 @@ def signature_of(function: Callable[..., Any], name: str) -> inspect.Signature:
     """Return how a function is called that does its work at once.
 
     Raises:
-        MalformedError: it is none, or its arguments have no names.
+        MalformedError: it is not valid, or its arguments have no names.
     """
     if not callable(function):
         raise MalformedError(f"expected a function, got `{type(function).__name__}`", where=name)

@@ -21,7 +21,7 @@ BESIDE = "authguard_beside"
 
 
 def arguments_in(text: str | bytes | bytearray) -> dict[str, Any]:
-    """Return the arguments that a model wrote; no text at all is none.
+    """Return the arguments that a model wrote; an empty text is no arguments.
 
     Args:
         text: JSON; untrusted. What is in it twice is refused: two readers could take one each.

@@ -2,7 +2,7 @@
 """A call whose release comes before its work is begun: first asked for, then done by another hand.
 
 For frameworks that ask an approver and run the tool themselves. The work is done inside the
-release: the gate is told that it has ended when it has. Nothing begins without a release, and a
+release: the gate hears that it has ended when it has. Nothing begins without a release, and a
 release whose work does not begin is given up. Spec page: docs/spec/adapters.md#turns
 """
 

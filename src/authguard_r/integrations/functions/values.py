@@ -95,7 +95,7 @@ def fields_of(value: Any) -> Any:
 
 
 def sendable(texts: Iterable[str]) -> tuple[str, ...]:
-    """Return texts as they can be sent: half a character is none."""
+    """Return texts as they can be sent: without half characters."""
     return tuple(text.encode(errors="replace").decode() for text in texts) or ("",)
 
 

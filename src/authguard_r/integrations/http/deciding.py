@@ -37,7 +37,7 @@ from authguard_r.wire.disclosure import Disclosure, disclosed
 _DIALECT = "json"
 #: What ends a batch: the decision after which nothing more is asked.
 _ENDS = {"execute_all": None, "deny_on_first_deny": False, "permit_on_first_permit": True}
-#: What is told of a decision in fields of its own.
+#: The parts of a decision that have fields of their own.
 _OWN = frozenset(
     {"outcome", "reasons", "retryable", "required_approvals", "mission", "action_digest"}
     | {"findings", "authoritative", "released", "executed", "execution", "seq"}
@@ -51,7 +51,7 @@ class Decider:
         robot: whose gate it is.
         operator: the gate as what-ifs are asked; None in shadow mode.
         planner: the gate as proposals are made; None where nothing is proposed.
-        disclosure: how much of a what-if is told; what is told of a proposal, the gate says.
+        disclosure: how much of a what-if is shown; the gate decides that for a proposal.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class Decider:
         return DecidedAll(evaluations=tuple(found))
 
     async def proposal(self, asked: ProposalMessage, key: str) -> Carried:
-        """Have a call decided and carried out; return what became of it.
+        """Have a call decided and carried out; return its report.
 
         Args:
             asked: the call.

@@ -15,7 +15,7 @@ from authguard_r.wire.messages import Mode
 
 #: Most evaluations of one request.
 MAX_BATCH = 100
-#: Longest page of records, and how long it is unless told.
+#: Longest page of records, and its default length.
 MAX_PAGE, PAGE = 1_000, 100
 
 #: What the sender knows of a person or a thing; nothing here reads it.
@@ -165,7 +165,7 @@ class DecidedAll(Struct, frozen=True, kw_only=True):
 
 
 class Carried(Struct, frozen=True, kw_only=True):
-    """What became of a proposal.
+    """The result of a proposal.
 
     Args:
         decision: it was released.

@@ -81,7 +81,7 @@ def document(operations: tuple[Operation, ...], *, version: str) -> bytes:
 
 
 def _public(name: str) -> str:
-    """Return the name of a struct in the document: without the suffix that tells it from ours."""
+    """Return the name of a struct in the document, without the suffix of our own names."""
     return name.removesuffix(_SUFFIX)
 
 

@@ -36,7 +36,7 @@ from authguard_r.wire.messages import ClientRole, Mode
 
 
 class HttpSetup(Struct, frozen=True, kw_only=True):
-    """What a decision point is told.
+    """The options of a decision point.
 
     Args:
         where: which gate.
@@ -44,7 +44,7 @@ class HttpSetup(Struct, frozen=True, kw_only=True):
         url: where clients reach it.
         hosts: names that a request may call it by; None: any, behind TLS.
         tls: the server's certificate; None: plain HTTP, on loopback.
-        disclosure: how much of a what-if is told.
+        disclosure: how much of a what-if is shown.
         propose: calls are carried out too.
         metrics: makes text of counts.
     """

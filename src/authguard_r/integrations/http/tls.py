@@ -2,9 +2,8 @@
 """TLS 1.3 between a port and a server's protocol, with the client's certificates handed on.
 
 The standard library's TLS refuses a certificate whose purpose it does not know, and ours say a role
-and nothing else. So OpenSSL is told to take every certificate: that its holder has the key, it
-still sees; whether the chain holds, `keys.trust` says, for each request anew.
-Spec page: docs/spec/http.md#tls
+and nothing else. So OpenSSL takes every certificate: it still checks that its holder has the key;
+`keys.trust` checks the chain for each request anew. Spec page: docs/spec/http.md#tls
 """
 
 from __future__ import annotations

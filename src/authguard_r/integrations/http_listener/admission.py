@@ -98,7 +98,7 @@ class AdmissionControl(Generic[G]):
         return len(self._strangers)
 
     def is_stranger(self, guest: G) -> bool:
-        """True while no request of his was let in."""
+        """True while no request of it was let in."""
         return guest in self._strangers
 
     def enter(self, guest: G) -> G | None:
@@ -121,18 +121,18 @@ class AdmissionControl(Generic[G]):
         return None
 
     def stir(self, guest: G) -> None:
-        """A stranger got something done: he is the last of them who has to go."""
+        """A stranger got something done: it is the last of them that has to go."""
         if self._strangers.pop(guest, self) is None:
             self._strangers[guest] = None
 
     def serve(self, guest: G) -> None:
-        """A guest's request was let in: he stays until it is answered."""
+        """A guest's request was let in: it stays until it is answered."""
         if guest in self._strangers or guest in self._known:
             self.leave(guest)
             self._served.add(guest)
 
     def rest(self, guest: G) -> None:
-        """A guest has his answer: he goes after all strangers."""
+        """A guest has its answer: it goes after all strangers."""
         if guest in self._served:
             self._served.discard(guest)
             self._known[guest] = None

@@ -18,7 +18,7 @@ from authguard_r.integrations.http_listener.admission import AdmissionControl, A
 #: Where a request's scope has the connection that it came by, and the client's certificates.
 GUEST, CHAIN = "authguard_r.guest", "authguard_r.chain"
 #: Requests in a second that are read of all strangers together who stay after an answer: each of
-#: them has his turn as often as who is known, and there may be many more of them.
+#: them has its turn as often as a known client, and there may be many more of them.
 STRANGERS = 100
 
 
@@ -30,7 +30,7 @@ class HttpConnection:
     """A connected client.
 
     Args:
-        room: where he has a place.
+        room: where it has a place.
         limits: of the listener.
     """
 
@@ -39,7 +39,7 @@ class HttpConnection:
         self._transport: asyncio.Transport | None = None
         self._is_gone = False
         self.limits = limits
-        #: When his first request has to be there, on the monotonic clock.
+        #: When its first request has to be there, on the monotonic clock.
         self.until_s = time.monotonic() + limits.first_s
 
     def arrive(self, transport: asyncio.Transport) -> None:
@@ -55,22 +55,22 @@ class HttpConnection:
             self._transport.abort()
 
     def serve(self) -> None:
-        """His request was let in.
+        """Its request was let in.
 
         Raises:
-            GoneError: he had to go before; a request without an answer would be made again.
+            GoneError: it had to go before; a request without an answer would be made again.
         """
         if self._is_gone:
             raise GoneError
         self._room.serve(self)
 
     def rest(self) -> None:
-        """His request is answered."""
+        """Its request is answered."""
         self._room.rest(self)
 
     @property
     def pause_s(self) -> float:
-        """How long his next request is left unread, in seconds: who is known waits for nothing."""
+        """How long its next request is left unread, in seconds; 0 for a known client."""
         return self._room.strangers / STRANGERS if self._room.is_stranger(self) else 0.0
 
     def leave(self) -> None:
@@ -83,7 +83,7 @@ def let_in(scope: Scope) -> None:
     """Mark a request: its sender has shown who they are.
 
     Raises:
-        GoneError: his connection has been ended.
+        GoneError: its connection has been ended.
     """
     guest = scope.get(GUEST)
     if guest is not None:

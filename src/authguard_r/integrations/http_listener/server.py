@@ -52,7 +52,7 @@ class Acceptor:
         self._limits = limits
         self._lines = lines
         self._room: AdmissionControl[HttpConnection] = AdmissionControl(limits.connections)
-        # who has come has his turn before as many others come as there are places
+        # a connection has its turn before as many others come as there are places
         self._at_once = max(1, min(AT_ONCE, limits.connections // 8))
         self._coming: set[asyncio.Task[Any]] = set()
         self._loop = asyncio.get_running_loop()
@@ -87,7 +87,7 @@ class Acceptor:
                 link, _ = self._made.accept()
             except (BlockingIOError, InterruptedError, ConnectionAbortedError):
                 return
-            except OSError:  # no file is left: a place that is not there is none
+            except OSError:  # no file is left: a missing place is refused
                 self._go(self._room.spare())
                 self._wait()
                 return
@@ -180,7 +180,7 @@ async def serve_until_told(
         limits: of the listener.
         lines: where it is said that a connection had to go.
         make: makes the outermost protocol of a connection.
-        has_lifespan: the application is told of the beginning and the end.
+        has_lifespan: the application hears of the beginning and the end.
 
     Raises:
         EnvironmentFault: the process may not open files enough.

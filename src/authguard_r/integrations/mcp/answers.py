@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a tool's server answered, as the planner is told it, and every word in it.
+"""What a tool's server answered, as the planner sees it, and every word in it.
 
 What a server says about its own answer decides nothing; the words are for the ledger of what the
 planner has seen. Spec page: docs/spec/mcp.md#results
@@ -41,7 +41,7 @@ def answer_of(content: bytes) -> types.CallToolResult:
     """Return the answer again, without what its server claimed about it.
 
     Raises:
-        ValueError: it is none.
+        ValueError: it is not valid.
     """
     return types.CallToolResult.model_validate_json(content).model_copy(update={"meta": None})
 

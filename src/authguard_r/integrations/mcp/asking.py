@@ -51,7 +51,7 @@ def is_modern(ctx: Any) -> bool:
 
 
 def words(tool: str, required: object) -> str:
-    """Return what a person is told."""
+    """Return the text for a person."""
     people = "approval" if required == 1 else "approvals"
     return (
         f"`{tool}` needs {required} {people}, the issuer's included, and not all are signed "

@@ -24,8 +24,8 @@ from authguard_r.client.link import ProcessLog
 
 #: Longest message of a tools' server, in bytes.
 MAX_MESSAGE = 4 << 20
-#: A server ends by itself within this once its input has ended, in seconds; then it is told to, and
-#: after the same time it is killed.
+#: A server ends by itself within this once its input has ended, in seconds; then it gets a signal
+#: to end, and after the same time it is killed.
 END_S = 2.0
 _LOOK_S = 0.01
 #: How it shows that its input and output are closed.
@@ -115,7 +115,7 @@ def _answered(line: bytes) -> str | int | None:
 
 
 async def _say(process: asyncio.subprocess.Process, said: Any, heard: Any) -> None:
-    """Tell it what it is to be told; who does not hear is gone."""
+    """Send it a message; a server that does not read is gone."""
     sink = process.stdin
     async with said:
         try:

@@ -42,8 +42,8 @@ Unguarded = Callable[[str, dict[str, Any]], Awaitable[types.CallToolResult]]
 def shown(pins: Pins, binding: Binding, site: Site) -> list[types.Tool]:
     """Return the tools that a planner is shown: bound ones, of which some way may be granted.
 
-    A tool that could change what the robot believes, whichever way it is called, is hidden. What
-    its server says of its harmlessness is left out.
+    A tool that could change the robot's own belief, in any way of calling it, is hidden. What its
+    server says of its harmlessness is left out.
     """
     return [tool for tool in tools_of(pins) if fate(tool.name, binding, site).startswith("shown")]
 
@@ -57,7 +57,7 @@ def tools_of(pins: Pins) -> list[types.Tool]:
 
 
 def fate(name: str, binding: Binding, site: Site) -> str:
-    """Return what becomes of a server's tool: `shown`, or `hidden` and why."""
+    """Return how a server's tool is treated: `shown`, or `hidden` and why."""
     if name not in binding.tools:
         return "hidden: not bound"
     ways = [site.vocabulary[way.tool.type] for way in ways_of(binding, name)]
@@ -117,7 +117,7 @@ class Front:
     async def _proposed(
         self, params: types.CallToolRequestParams, session: str | None, *, again: bool
     ) -> tuple[types.CallToolResult, int | None]:
-        """Return what became of a call, and how many approvals it waits for: by the gate's word.
+        """Return the result of a call, and how many approvals it waits for, as the gate says.
 
         One that is made again is a proposal of its own. Nothing that a tool's server says is
         taken for the gate's word: it is asked before there is an answer of a server.
@@ -202,7 +202,7 @@ def size_of(arguments: dict[str, Any]) -> int:
 
 
 def answered(asked: CallOutcome) -> types.CallToolResult:
-    """Return what a planner is told of its call."""
+    """Return what a planner sees of its call."""
     outcome = asked.execution
     verdict = {**asked.verdict, "execution": outcome, "repeated": asked.repeated}
     if outcome is None:
@@ -225,7 +225,7 @@ def answered(asked: CallOutcome) -> types.CallToolResult:
 
 
 def undecided(error: AuthGuardError) -> types.CallToolResult:
-    """Return what a planner is told when the gate did not answer it."""
+    """Return what a planner sees when the gate did not answer it."""
     return refused({"outcome": "reject", "reasons": [str(error.reason)]}, error.message)
 
 

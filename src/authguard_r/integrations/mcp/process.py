@@ -27,7 +27,7 @@ from authguard_r.integrations.tools.server import CallError
 
 
 class GatewaySetup(GateTarget, frozen=True, kw_only=True):
-    """What a gateway is told.
+    """The options of a gateway.
 
     Args:
         server: the tools' server: a command with arguments, or a URL.
@@ -45,7 +45,7 @@ class Gateway:
     """Both ends of one gateway.
 
     Args:
-        setup: what it is told.
+        setup: its options.
     """
 
     def __init__(self, setup: GatewaySetup) -> None:
@@ -94,7 +94,7 @@ async def serve(setup: GatewaySetup, front_of: Callable[[Front], Awaitable[None]
     """Run a gateway while its front is served.
 
     Args:
-        setup: what it is told.
+        setup: its options.
         front_of: serves the front until it is over.
 
     Raises:

@@ -38,7 +38,7 @@ class _Answers(Protocol):
 
 
 class _Printed:
-    """What a client is told (`anyio.AsyncFile`, as far as it is written)."""
+    """The output to a client (`anyio.AsyncFile`, as far as it is written)."""
 
     def __init__(self, writer: asyncio.StreamWriter) -> None:
         self._writer = writer

@@ -240,7 +240,7 @@ def _parsed(text: bytes, form: Mapping[str, AbstractSet[str]], *, where: str) ->
     """Return a document of a form.
 
     Raises:
-        MalformedError: it is none, or might be read as another.
+        MalformedError: it is not valid, or might be read as another.
     """
     builder = TreeBuilder(insert_comments=True, insert_pis=True)
     parser = DefusedXMLParser(target=builder, forbid_dtd=True)

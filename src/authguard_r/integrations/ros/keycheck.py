@@ -101,7 +101,7 @@ def check_keystore(
 
     Raises:
         EnvironmentFault: there is no keystore.
-        MalformedError: its authorities' certificates are none.
+        MalformedError: its authorities' certificates are not valid.
     """
     if not (folder / ENCLAVES).is_dir():
         raise EnvironmentFault(

@@ -89,7 +89,7 @@ class TextTopics(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     Args:
         ask: plans come here, as `std_msgs/msg/String`.
-        told: what became of each.
+        told: the result of each.
     """
 
     ask: str = f"{PLANNERS}/propose"
@@ -240,7 +240,7 @@ def faults(ros: RosMap) -> Iterator[tuple[str, str]]:
 
 
 def _names(ros: RosMap) -> Iterator[tuple[str, str]]:
-    """Yield names that are none, on the wrong side, or there twice."""
+    """Yield names that are not valid, on the wrong side, or there twice."""
     seen: dict[str, str] = {}
     for place, name, is_public in _own_names(ros):
         if not is_name(name):
@@ -332,7 +332,7 @@ def _strays(ros: RosMap) -> Iterator[tuple[str, str]]:
 
 
 def _liars(ros: RosMap) -> Iterator[tuple[str, str]]:
-    """Yield who could say of the robot, or of us, what he does not know."""
+    """Yield processes that could assert about the robot, or about us, what they do not know."""
     told = {ros.decisions: ros.enclaves.gate, ros.status: ros.enclaves.gate}
     told |= {ros.heartbeat: ros.enclaves.gate}
     told |= {shown.private: shown.by for shown in ros.shown.values()}

@@ -35,7 +35,7 @@ def is_enclave(text: str) -> bool:
 
 
 def part_of(kind: str) -> TypePart | None:
-    """Return the second part of a type's name such as `std_srvs/srv/SetBool`; None: it is none."""
+    """Return the second part of a type's name such as `std_srvs/srv/SetBool`; None: it has none."""
     found = _TYPE.fullmatch(kind)
     return None if found is None else TypePart(found[2])
 

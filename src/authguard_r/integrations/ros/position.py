@@ -52,9 +52,9 @@ class DoubtCause(StrEnum):
     CHILD = "child"
     #: a NaN or an infinity
     NOT_FINITE = "not_finite"
-    #: the orientation is none
+    #: the orientation is not valid
     NOT_UNIT = "not_unit"
-    #: the covariance is none, or says that the pose is worse than the margin
+    #: the covariance is not valid, or says that the pose is worse than the margin
     COVARIANCE = "covariance"
     #: on another floor, or nowhere on earth
     HEIGHT = "height"
@@ -124,7 +124,7 @@ class Fix(Struct, frozen=True, kw_only=True):
 class Stamps:
     """When something was measured, on the monotonic clock, by the stamps of one publisher.
 
-    The publisher's clock is his own: only how it goes on counts. What took longer on its way than
+    The publisher's clock is its own: only how it goes on counts. What took longer on its way than
     the fastest did is so much older.
     """
 

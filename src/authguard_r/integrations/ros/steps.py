@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the gate says of a step, as planners and displays of ROS are told it.
+"""A step's report, as planners and displays of ROS see it.
 
-How much of a refusal a planner is told is the gate's to say (`disclosure`): what it leaves out is
-left out here. Spec page: docs/spec/ros.md#plans-as-text
+The gate decides how much of a refusal a planner sees (`disclosure`): what it leaves out is left out
+here. Spec page: docs/spec/ros.md#plans-as-text
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 
 #: The events of a gate that a display hears of, by the number that `Decision.msg` gives them.
 KINDS = {"decision": 0, "outcome": 1, "stop": 2, "emergency": 3}
-#: Codes of one decision that are told.
+#: Most reason codes of one decision that are shown.
 _MOST_CODES = 64
 #: Longest text of a message's field, in characters.
 _MOST = 200
@@ -42,7 +42,7 @@ def ended_by(step: Mapping[str, Any]) -> list[str]:
 
 
 def decided(step: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a planner is told of a step's decision."""
+    """Return what a planner sees of a step's decision."""
     action = step.get("action") or {}
     return {
         "decision": step["outcome"],

@@ -86,7 +86,7 @@ def is_unit(turned: Quaternion) -> bool:
 
 
 class Frames:
-    """The last transform of each child; nothing is interpolated, and nothing is told ahead."""
+    """The last transform of each child; nothing is interpolated or extrapolated."""
 
     def __init__(self) -> None:
         self._links: dict[str, ChildTransform] = {}
@@ -99,7 +99,7 @@ class Frames:
         if fault is not None:
             return fault
         if known is not None and (known.parent, known.placed) != (parent, placed):
-            del self._links[child]  # two that never change: neither is believed
+            del self._links[child]  # two that never change: neither is trusted
             return DoubtCause.ANOTHER
         self._links[child] = ChildTransform(parent=parent, placed=placed)
         return None
@@ -123,7 +123,7 @@ class Frames:
             parent: in which one.
             placed: where.
             who: names its publisher.
-            stamp_ns: what its publisher says of the time, by a clock of his own.
+            stamp_ns: what its publisher says of the time, by a clock of its own.
             arrived_ns: the monotonic clock when it came.
         """
         known = self._links.get(child)

@@ -49,7 +49,7 @@ class ToolGoal:
 
     @property
     def moves(self) -> bool:
-        """It moves the robot: to stop it, the robot has to be told."""
+        """It moves the robot: a stop needs a command."""
         return self._kind.moves
 
     def outcome(self) -> Outcome | None:
@@ -83,7 +83,7 @@ class Rebuilds(Protocol):
         """Return the exact call that carries it out.
 
         Raises:
-            MalformedError: there is none.
+            MalformedError: there is none of the name.
         """
         ...
 
@@ -133,17 +133,15 @@ class ToolBody:
         self._means = means
         self._changed = changed
         self._flight: ToolGoal | None = None
-        self._is_told = False  # it was told to move, and no answer says that it stands
-        self._was_told = bool(
-            means.stops
-        )  # perhaps by an earlier process, which left no trace here
+        self._is_told = False  # it had to move, and no answer says that it stands
+        self._was_told = bool(means.stops)  # perhaps by an earlier process
         self._is_stopping = False
         self._is_over = False
         self._task: asyncio.Task[None] | None = None
 
     @property
     def stands(self) -> bool:
-        """True while it was not told to move, or an answer says that it stands."""
+        """True while it did not have to move, or an answer says that it stands."""
         return not (self._is_told or self._was_told)
 
     def has_room(self, action: Action) -> bool:  # noqa: ARG002
@@ -196,9 +194,9 @@ class ToolBody:
         """Do nothing: time passes by itself."""
 
     async def let_go(self) -> None:
-        """Stop what was told to move, and let another call end; not longer than `STOP_S`.
+        """Stop what was started, and let another call end; not longer than `STOP_S`.
 
-        Then the gate is told how it ended, while it is there. Nothing begins after.
+        Then the gate hears how it ended, while it is there. Nothing begins after.
         """
         self._is_over = True
         if self._is_told:

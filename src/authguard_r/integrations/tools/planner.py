@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The planner's end: proposes one call after the other, and tells what became of each.
+"""The planner's end: proposes one call after the other, and returns the result of each.
 
 It decides nothing and carries nothing out; its connection is made anew when it was lost.
 Spec page: docs/spec/adapters.md#ends
@@ -27,17 +27,17 @@ T = TypeVar("T")
 
 #: Characters that are noted at a time.
 MAX_NOTED = 30_000
-#: What a planner is told of a step beside its outcome, where the gate tells it.
+#: What a planner sees of a step beside its outcome, where the gate discloses it.
 SHOWN = ("outcome", "reasons", "findings", "retryable", "required_approvals", "seq")
 
 
 class CallOutcome(Struct, frozen=True, kw_only=True):
-    """What became of one call, as the gate tells it.
+    """The result of one call, as the gate reports it.
 
     Args:
         step: the report of the one step.
-        brought: what was told before it: the decision, and what the tool brought to light.
-        repeated: the same proposal was made before; what it brought to light is not told twice.
+        brought: what came before it: the decision, and the tool's result.
+        repeated: the same proposal was made before; its result is not sent twice.
     """
 
     step: dict[str, Any]
@@ -73,7 +73,7 @@ class CallOutcome(Struct, frozen=True, kw_only=True):
 
     @property
     def ticket(self) -> str | None:
-        """The release's ticket, where the gate told it."""
+        """The release's ticket, where the gate sent it."""
         return next((item["ticket"] for item in reversed(self.brought) if "ticket" in item), None)
 
 
@@ -92,7 +92,7 @@ class LostError(Exception):
 class PlannerTurn:
     """Who may ask the gate now: one after the other, each after the last answer is there.
 
-    A caller may give up. What he asked goes on, and the gate takes one proposal of a client.
+    A caller may give up. What it asked goes on, and the gate takes one proposal of a client.
     """
 
     def __init__(self) -> None:
@@ -153,7 +153,7 @@ class ToolPlanner:
             tool: its name, as the planner wrote it; untrusted.
             arguments: as it wrote them; untrusted.
             key: names the proposal, so that asking again is the same one.
-            told: called with each thing that the gate tells before the answer.
+            told: called with each event of the gate before the answer.
 
         Raises:
             MalformedError: they are no JSON.
@@ -190,7 +190,7 @@ class ToolPlanner:
             data: what the planner wrote, byte for byte; untrusted.
             dialect: how it is written; `auto` leaves that to the gate.
             key: names the proposal, so that asking again is the same one.
-            told: called with each thing that the gate tells before the answer.
+            told: called with each event of the gate before the answer.
 
         Raises:
             AuthGuardError: nothing was decided.
@@ -205,7 +205,7 @@ class ToolPlanner:
             raise
 
     async def unreadable(self, tool: str, text: str) -> None:
-        """Hand in what was written for a call and is none: the gate refuses it, and logs that.
+        """Hand in a text that is no call: the gate refuses it, and logs that.
 
         Args:
             tool: whose call it was to be; untrusted.

@@ -47,7 +47,7 @@ class ToolAnswer(Struct, frozen=True, kw_only=True):
         is_error: it says of itself that it has failed.
         structured: its fields, by name; None when it has none.
         text: its words, one item after the other.
-        told: what the planner is told of it.
+        told: what the planner sees of it.
     """
 
     is_error: bool

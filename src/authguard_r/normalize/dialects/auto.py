@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which dialect a plan is written in: the one that fits, or none.
 
-A plan is told by its shape alone: its first words, or the keys of its outermost object. Text in
-JSON is parsed once. Where several dialects claim a shape, each of them reads it: one that refuses
-does not fit, and two that fit must have read the very same calls.
-Spec page: docs/spec/normalize.md#auto
+A plan's dialect is recognized by its shape alone: its first words, or the keys of its outermost
+object. Text in JSON is parsed once. Where several dialects claim a shape, each of them reads it:
+one that refuses does not fit, and two that fit must have read the very same calls. Spec page:
+docs/spec/normalize.md#auto
 """
 
 from __future__ import annotations

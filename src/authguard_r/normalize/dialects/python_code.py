@@ -262,7 +262,7 @@ class _Tree:
         """Return the call that a statement is.
 
         Raises:
-            MalformedError: it is none, or one of something else than literals.
+            MalformedError: it is not valid, or contains something else than literals.
         """
         where = _place(self._where, node.lineno)
         if not (isinstance(node, ast.Expr) and isinstance(node.value, ast.Call)):
@@ -283,7 +283,7 @@ class _Tree:
         """Return the value of a literal.
 
         Raises:
-            MalformedError: it is none.
+            MalformedError: it is not valid.
         """
         match node:
             case ast.Constant(value=bool() as truth):

@@ -111,7 +111,7 @@ def read_mcp(value: Any) -> tuple[Call, ...]:
     calls = tuple(_mcp_call(item, f"input[{number}]") for number, item in enumerate(items))
     seen: set[Any] = set()
     for number, item in enumerate(items):
-        if item["id"] in seen:  # answers could not be told apart
+        if item["id"] in seen:  # the answers could not be distinguished
             raise MalformedError("expected each id once", where=f"input[{number}].id")
         seen.add(item["id"])
     return calls

@@ -2,8 +2,8 @@
 """Plans of fixed verbs: household steps (`find Mug`) and driving maneuvers (`1. accelerate`).
 
 There is no grammar to guess at: a line is a verb of the list and its names, or the whole plan is
-refused. Verbs are told by exact spelling, as their executors tell them.
-Spec page: docs/spec/normalize.md#dialects
+refused. Verbs are recognized by exact spelling, as by their executors. Spec page:
+docs/spec/normalize.md#dialects
 """
 
 from __future__ import annotations

@@ -64,7 +64,7 @@ _LONGEST_NAME = "/sensors.sock"
 
 
 class GateSetup(Struct, frozen=True, kw_only=True):
-    """The parts of one gate; what is None is not looked at.
+    """The parts of one gate; a part that is None is not checked.
 
     Args:
         demo: this is declared a demonstration: the risks of one folder for everything are warnings
@@ -75,13 +75,13 @@ class GateSetup(Struct, frozen=True, kw_only=True):
         chain: the gate's certificate chain.
         site: the sound site model.
         binding: the planner's tools.
-        model: the site's file, for the mend.
-        tools: the binding's file or shipped name, for the mend.
+        model: the site's file, for the advice.
+        tools: the binding's file or shipped name, for the advice.
         interface: what these tools say of themselves; empty: the binding is not compared.
         config: the gate's authentic configuration.
         store: the store's file.
         run: the folder of the sockets.
-        files: further files that the gate believes: site, binding, safety, configuration.
+        files: further files that the gate trusts: site, binding, safety, configuration.
         counter: the outside counter's file; looked at together with the store.
         journal: the emergency journal's file.
         deep: read the whole log too; it takes as long as the log.
@@ -109,7 +109,7 @@ class GateSetup(Struct, frozen=True, kw_only=True):
 
 
 def checkup(setup: GateSetup, now: Now) -> tuple[Advice, ...]:
-    """Return everything that was looked at, in the order in which people mend it."""
+    """Return everything that was checked, in the order in which people fix it."""
     found = [*machine_advice(), *_trust(setup, now), *_custody(setup)]
     if setup.binding is not None and setup.site is not None:
         found += binding_advice(

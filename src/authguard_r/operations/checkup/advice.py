@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a look at a set-up can find, each with its place and its mend (L7).
+"""What a check of a set-up can find, each with its place and how to fix it (L7).
 
 How-to: docs/howto/deploy.md
 """
@@ -71,7 +71,7 @@ class AdviceCode(StrEnum):
     ROS_TYPE = "ROS_TYPE"
 
 
-#: What one folder for everything cannot help; a demonstration is told of it and goes on.
+#: What one folder for everything cannot avoid; a demonstration only warns about it.
 _IN_ONE_FOLDER = frozenset(
     {
         AdviceCode.DEMO_ROOT,

@@ -24,7 +24,7 @@ _JOURNAL = ".emergency"
 
 
 class Files(Struct, frozen=True, kw_only=True):
-    """The files of one gate; what is None is not named.
+    """The files of one gate; None for a file that is not named.
 
     Args:
         store: its store.

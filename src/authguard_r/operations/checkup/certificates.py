@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Until when a set-up is believed: roots, authorities, lists, and the certificates under them.
+"""Until when a set-up is valid: roots, authorities, lists, and the certificates under them.
 
 How-to: docs/howto/deploy.md
 """
@@ -27,7 +27,7 @@ _LEAST_PARTS = 4
 _RENEW = "issue it again: authguard keys rotate"
 _NEXT = "make the next set-up in time: authguard keys init DIR --no-demo"
 _FRESH = "authguard keys lists, at its authority; then authguard revocations install"
-#: What becomes of every certificate that was given: a folder keeps them, and nothing is wrong.
+#: The state of every certificate that was given: a folder keeps them, and nothing is wrong.
 _OVER = frozenset({Reason.CERTIFICATE_EXPIRED, Reason.CERTIFICATE_REVOKED, Reason.REVOCATION_STALE})
 
 
@@ -115,9 +115,7 @@ def _ending(part: str, path: Path, trust: Trust, now: Now) -> Iterator[Advice]:
     until_ms = _ends_ms(path, trust)
     if until_ms - now.utc_ms < SOON_MS:
         above_ms = min(map(_end_ms, (*_certificates(path)[1::2], *trust.roots)))
-        mend = (
-            _NEXT if above_ms == until_ms else _RENEW
-        )  # the certificate gives no more than the role has
+        mend = _NEXT if above_ms == until_ms else _RENEW  # no more than the authority has
         message = f"usable only until {to_timestamp(until_ms)}"
         yield warning(part, AdviceCode.CERTIFICATE, message, place=str(path), mend=mend)
 

@@ -87,7 +87,7 @@ def file_advice(part: str, path: Path, *, uid: int, secret: bool = False) -> Ite
     Args:
         part: what the file is, for people.
         path: the file.
-        uid: the user that the gate runs as; it and root may own what the gate believes.
+        uid: the user that the gate runs as; it and root may own what the gate trusts.
         secret: others should not read it either.
     """
     try:
@@ -230,7 +230,7 @@ def _keys_in(paths: Iterable[Path]) -> Iterator[Path]:
 
 
 def role_of(key: Path | None, chain: Path | None = None) -> Role | None:
-    """Return what a key's certificate claims; it decides only what people are told.
+    """Return what a key's certificate claims; it decides only what people see.
 
     Args:
         key: the key.

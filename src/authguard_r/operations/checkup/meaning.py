@@ -14,7 +14,7 @@ from authguard_r.normalize.interface import Surface
 from authguard_r.operations.checkup.advice import Advice, AdviceCode, fine, unsafe, warning
 from authguard_r.site.model import Site
 
-#: Names by which what a robot believes is changed, as ROS 2 and Nav2 spell them; compared exactly.
+#: Names by which the robot's own belief is changed, as ROS 2 and Nav2 spell them; compared exactly.
 _BELIEFS = frozenset(
     {
         "composition_interfaces/srv/LoadNode",

@@ -2,8 +2,7 @@
 """Whether the users that a configuration names keep apart what must be apart.
 
 A role is a user's, so two roles of one user are one: a planner that is also the controller goes
-round the gate, one that is also the estimator tells it what to believe.
-How-to: docs/howto/deploy.md
+around the gate, one that is also the estimator attests its own state. How-to: docs/howto/deploy.md
 """
 
 from __future__ import annotations

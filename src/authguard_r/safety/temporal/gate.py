@@ -77,9 +77,9 @@ class TemporalGate:
         return SafetyDecision(safe=True, memory=(doubted, succeeded))
 
     def unfulfilled(self) -> tuple[Identifier, ...]:
-        """Return the rules that do not hold if the mission ends here: told, never refused.
+        """Return the rules that do not hold if the mission ends here: reported, never refused.
 
-        All of them when the memory is none of this gate: it is unknown whether one holds.
+        All of them when the memory is not of this gate: it is unknown whether one holds.
         """
         try:
             left = read_memory(self._memory, self._owner(None), self._rules)

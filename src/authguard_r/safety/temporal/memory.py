@@ -74,7 +74,7 @@ def read_memory(data: bytes, owner: Owner, rules: tuple[Compiled, ...]) -> dict[
         rules: the rules in force.
 
     Raises:
-        MalformedError: it is none, another's, or not about these rules.
+        MalformedError: it is not valid, another's, or not about these rules.
     """
     if not data:
         return {rule.id: rule.track.start for rule in rules}

@@ -50,8 +50,8 @@ def parse(text: str, *, where: str = "formula") -> Formula:
         where: prefix of the place in messages.
 
     Raises:
-        MalformedError: it is none, longer than `MAX_LENGTH` or deeper than `MAX_DEPTH`; the place
-            ends with the column, from 1.
+        MalformedError: it is not valid, longer than `MAX_LENGTH` or deeper than `MAX_DEPTH`; the
+            place ends with the column, from 1.
     """
     if len(text) > MAX_LENGTH:
         message = f"expected at most {MAX_LENGTH} characters, got {len(text)}"

@@ -34,7 +34,7 @@ def compile_rules(rules: tuple[Rule, ...]) -> tuple[Compiled, ...]:
     """Return the rules, each parsed and explored.
 
     Raises:
-        MalformedError: more than `MAX_RULES`, two of one name, or a formula that is none, that
+        MalformedError: more than `MAX_RULES`, two of one name, or a formula that is not valid, that
             nothing satisfies, or that grows past a bound (docs/spec/safety.md#bounds).
     """
     if len(rules) > MAX_RULES:

@@ -117,7 +117,7 @@ class FormulaTrack:
         """True when some actions from here on, possibly none, satisfy the formula.
 
         Raises:
-            MalformedError: that cannot be told within `MAX_STEPS`.
+            MalformedError: that cannot be computed within `MAX_STEPS`.
         """
         if left in self._living:
             return self._living[left]
@@ -185,7 +185,7 @@ class FormulaTrack:
         return ANYTHING if (number in letter.true) == (formula.op is Op.ATOM) else NOTHING
 
     def _any(self, lefts: Iterable[Left]) -> Left:
-        """Join: one of them has to be met. A way that asks more than another is none."""
+        """Join: one of them has to be met. A way that asks more than another is dropped."""
         ways: set[Way] = set().union(*lefts)
         kept = frozenset(way for way in ways if not any(other < way for other in ways))
         if len(kept) > MAX_WAYS:

@@ -20,7 +20,7 @@ class AttackerError(Exception):
 
     Args:
         code: `unreachable`, `refused`, `protocol`, `limit` or `cost`, as a planner's.
-        message: what happened, and the mend.
+        message: what happened, and what to do.
         where: the server or the option.
     """
 

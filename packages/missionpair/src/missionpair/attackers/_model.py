@@ -81,7 +81,7 @@ def asked(spec: str, *, max_tokens: int, role: str) -> MeteredModel:
 
 
 def described(case: CaseView) -> str:
-    """Return what a model is told of its case: what the attacker itself may see of it."""
+    """Return what a model sees of its case: what the attacker itself may see of it."""
     lines = [f"Goal: {case.goal}", f"What you claim: {case.family.value.replace('-', ' ')}."]
     lines += [f"Channel [{channel}]: {CHANNELS[channel]}." for channel in case.channels]
     if case.tools:
@@ -96,7 +96,7 @@ def described(case: CaseView) -> str:
 
 
 def told(seen: SeenView) -> str:
-    """Return what a model is told of a round: what the attacker itself may see of it."""
+    """Return what a model sees of a round: what the attacker itself may see of it."""
     lines = [
         *(f"[{item.channel}] {item.text}" for item in seen.inputs),
         f"The planner answered: {seen.reply or '(nothing)'}",

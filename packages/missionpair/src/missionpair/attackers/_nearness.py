@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How near an observed plan came to the wanted calls, for attackers that are told no score."""
+"""How near an observed plan came to the wanted calls, for attackers that see no score."""
 
 from __future__ import annotations
 

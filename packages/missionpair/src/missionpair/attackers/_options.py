@@ -8,7 +8,7 @@ def whole(name: str, text: str, *, most: int = 1_000_000) -> int:
     """Return an option that is a whole number above zero.
 
     Raises:
-        ValueError: it is none, or above `most`.
+        ValueError: it is not valid, or above `most`.
     """
     if not text.isascii() or not text.isdigit() or not 0 < int(text[:12]) <= most:
         raise ValueError(f"`{name}` is expected from 1 to {most}, got `{text}`")

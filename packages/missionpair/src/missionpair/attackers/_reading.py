@@ -71,7 +71,7 @@ def read_case(data: bytes) -> CaseView:
     """Return the case; the last one is kept, as it is opened again for each of its trials.
 
     Raises:
-        AttackerError: the bytes are none.
+        AttackerError: the bytes are not valid.
     """
     try:
         found = _CASE.decode(data)
@@ -86,7 +86,7 @@ def read_seen(data: bytes) -> SeenView:
     """Return the round.
 
     Raises:
-        AttackerError: the bytes are none.
+        AttackerError: the bytes are not valid.
     """
     try:
         found = _SEEN.decode(data)

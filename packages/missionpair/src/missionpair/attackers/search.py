@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Evolution over the template grammar, without a model: mutation, crossover, selection.
 
-It climbs J where it is told J (white access); elsewhere how near the observed plan came to the
-wanted calls. Options: `population=N` (8), `changes=N`, slots that a mutation draws anew (2).
-Source: section "Adaptive Attacker Models". Spec page: docs/spec/missionpair-access.md#search
+It climbs J where it sees J (white access); elsewhere how near the observed plan came to the wanted
+calls. Options: `population=N` (8), `changes=N`, slots that a mutation draws anew (2). Source:
+section "Adaptive Attacker Models". Spec page: docs/spec/missionpair-access.md#search
 """
 
 from __future__ import annotations

@@ -40,7 +40,7 @@ class LogError(Exception):
 
     Args:
         where: the file, with the line from 1 where there is one.
-        message: what is wrong, and the mend.
+        message: what is wrong, and what to do.
         is_here: the machine is at fault, and not the log.
     """
 
@@ -265,7 +265,7 @@ def _trials(
 
 
 def _lines(path: Path, *, is_cut_allowed: bool) -> Iterator[bytes]:
-    """Yield whole lines; what is left of one that was cut is none."""
+    """Yield whole lines; the rest of a cut line is dropped."""
     try:
         with path.open("rb") as file:
             while line := file.readline(MAX_LINE + 1):

@@ -18,7 +18,7 @@ from missionpair.words import Access, TrialKind
 
 
 class PlanError(SpecificationError):
-    """A campaign that cannot be; the text says the mend."""
+    """A campaign that cannot be; the text says what to do."""
 
 
 class CampaignPlan(Struct, frozen=True, kw_only=True):

@@ -47,7 +47,7 @@ def run(
         plan: what is asked for.
         log: where the trials go; one of the same plan goes on where it was cut off.
         jobs: processes; threads where a model is waited for.
-        show: told of progress.
+        show: called with the progress.
 
     Raises:
         LogError: the log cannot be written, or is of another campaign.

@@ -290,7 +290,7 @@ class PairRun:
         return inputs
 
     def _told(self, number: int, tried: TrialRecord, defense: Defense) -> bytes:
-        """Return what the attacker sees of a round; a planner that is one is told it, too."""
+        """Return what the attacker sees of a round; a planner that is one sees it, too."""
         seen = seen_of(number, tried.checked, tried.carried, tried.record)
         data = seen_bytes(self._setting.access, seen)
         told = getattr(self._who[defense.name].planner, "told", None)

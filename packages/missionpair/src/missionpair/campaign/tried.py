@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What became of a trial while it runs, and the record that is made of it.
+"""The state of a trial while it runs, and the record that is made of it.
 
 Spec page: docs/spec/campaign-log.md
 """
@@ -52,7 +52,7 @@ class TrialCosts:
 
 @dataclass
 class TrialRecord:
-    """What became of one round."""
+    """The result of one round."""
 
     checked: Checked = field(default_factory=Checked)
     carried: ExecutedPlan = field(default_factory=ExecutedPlan)
@@ -173,7 +173,7 @@ def round_of(inputs: tuple[Input, ...], tried: TrialRecord, points: int) -> Roun
 
     Args:
         inputs: what was sent.
-        tried: what became of it.
+        tried: its result.
         points: its score, in thousandths.
     """
     checked, reply = tried.checked, tried.reply

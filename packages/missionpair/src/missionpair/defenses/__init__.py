@@ -22,7 +22,7 @@ from missionpair.words import Category
 
 
 class DefenseError(registry.SpecificationError):
-    """A defense that cannot be had here, or not with these options; the text says the mend."""
+    """A defense that is not available here, or not with these options; the text says what to do."""
 
 
 class Claim(Struct, frozen=True, kw_only=True):
@@ -58,7 +58,7 @@ class Claim(Struct, frozen=True, kw_only=True):
 
 
 class Defense(Protocol):
-    """What is tried: it changes what a planner is shown, or what becomes of its plan, or both."""
+    """What is tried: it changes what a planner sees, or what runs of its plan, or both."""
 
     #: What tables and logs call it.
     name: str
@@ -105,7 +105,7 @@ def make(spec: str) -> Defense:
 
     Raises:
         UnknownNameError: no such defense, or no such option of it; says which there are.
-        DefenseError: it cannot be had here; says the mend.
+        DefenseError: it is not available here; says what to do.
         ValueError: an option has a value that it cannot have.
     """
     from missionpair import defenses

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Defenses that are the product: its own road, with one second gate or another."""
+"""Defenses that are the product, with one second gate or another."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from missionpair.stage import Stage
 
 @dataclass
 class Gated:
-    """The product's road.
+    """The product itself.
 
     Args:
         name: as `--defense` takes it.
@@ -35,11 +35,11 @@ class Gated:
         """Do nothing: what is remembered lies in the gate's own store."""
 
     def brief(self, briefing: Briefing) -> Briefing:
-        """Return the same: a planner is told nothing of its gate."""
+        """Return the same: a planner sees nothing of its gate."""
         return briefing
 
     def carry_out(self, stage: Stage, raw: bytes) -> ExecutedPlan:
-        """Send the plan down the road.
+        """Send the plan through the product.
 
         Raises:
             DefenseError: the stage has another second gate than this defense is about.

@@ -2,7 +2,7 @@
 """In which fields a plan has what no grant of its kind of action has at all.
 
 A pair's codes are those of the grant that comes nearest; a list that looks at one field, or at all
-grants together, sees less. What such a list has to see is told here, from the mission itself.
+grants together, sees less. What such a list has to see is derived here, from the mission itself.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ _MOST_NAMES, _MOST_REGIONS = 12, 6
 
 
 class Shape(Struct, frozen=True):
-    """What a rule can tell of an action: its kind, its thing, where it ends."""
+    """What a rule can see of an action: its kind, its thing, where it ends."""
 
     type: str
     object: str | None

@@ -90,7 +90,7 @@ def make(
     """Return a person.
 
     Raises:
-        DefenseError: a probability that is none, or a time or seed that is no whole number.
+        DefenseError: an invalid probability, or a time or seed that is no whole number.
     """
     fatigue = Fatigue(
         first=_share("first", first),
@@ -140,7 +140,7 @@ class Human:
         self._trial, self._asked = seed, 0
 
     def brief(self, briefing: Briefing) -> Briefing:
-        """Return the same: a planner is told nothing of who watches."""
+        """Return the same: a planner sees nothing of who watches."""
         return briefing
 
     def carry_out(self, stage: Stage, raw: bytes) -> ExecutedPlan:

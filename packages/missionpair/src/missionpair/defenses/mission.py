@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The mission gate alone: the product's own road with a second gate that calls everything safe.
+"""The mission gate alone: the product with a second gate that calls everything safe.
 
 It shows what authorization does by itself. The product cannot be configured so: the assembler of
 the gate, here the attack side, puts the second gate in.

@@ -73,7 +73,7 @@ class Temporal:
         self._reached = None
 
     def brief(self, briefing: Briefing) -> Briefing:
-        """Return the same: a planner is told nothing of the rules."""
+        """Return the same: a planner sees nothing of the rules."""
         return briefing
 
     def carry_out(self, stage: Stage, raw: bytes) -> ExecutedPlan:

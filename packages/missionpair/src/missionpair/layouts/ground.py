@@ -39,7 +39,7 @@ class Ground:
         return self._names[identifier]
 
     def rooms(self, *tags: str) -> list[str]:
-        """Return the rooms with one of the tags; corridors and the dock are none."""
+        """Return the rooms with one of the tags; corridors and the dock do not count."""
         lanes = {*map(self._slug_of, self.words.lanes), self.home}
         return [r for r, tag in self.tags.items() if tag in tags and r not in lanes]
 

@@ -12,7 +12,7 @@ from typing import Any
 
 
 def shape_of(site: dict[str, Any]) -> str:
-    """Return the shape: rooms by tag, things and doors, told apart by what is around them.
+    """Return the shape: rooms by tag, things and doors, distinguished by what is around them.
 
     Colors are refined until a room's color says everything about the rooms that it leads to; equal
     sites under any renaming have equal shapes, in every order of their parts.

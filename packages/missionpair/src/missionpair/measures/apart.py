@@ -25,7 +25,7 @@ _DRAWN = (
 
 
 def why_not_apart(one: Campaign, other: Campaign) -> str:
-    """Return why two campaigns have trials in common, with the mend; empty when they have none."""
+    """Return why two campaigns share trials, with what to do; empty when they share none."""
     same = all(getattr(one, name) == getattr(other, name) for name in _DRAWN)
     kinds = not set(one.kinds).isdisjoint(other.kinds)
     defenses = any(defense in other.defenses for defense in one.defenses)

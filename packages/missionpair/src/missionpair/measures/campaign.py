@@ -36,7 +36,7 @@ class CellKey(NamedTuple):
 
 
 class Dimension(StrEnum):
-    """By what trials are told apart; each trial is in one row of each."""
+    """What distinguishes trials; each trial is in one row of each."""
 
     CATEGORY = "category"
     CHANNEL = "channel"

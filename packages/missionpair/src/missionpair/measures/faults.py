@@ -41,7 +41,7 @@ class TrialChecker:
     """Holds the trials of one campaign to what their fields mean.
 
     Raises:
-        MeasureError: its defenses cannot be told apart.
+        MeasureError: its defenses cannot be distinguished.
     """
 
     def __init__(self, campaign: Campaign) -> None:
@@ -85,7 +85,7 @@ def deviation(text: str) -> Fraction:
     """Read a D_M: a fraction between 0 and 1, such as `1/15`.
 
     Raises:
-        ValueError: it is none.
+        ValueError: it is not valid.
     """
     above, slash, below = text.partition("/")
     parts = (above, below) if slash else (above, "1")

@@ -54,7 +54,7 @@ class Spread:
     def items(self) -> Iterator[tuple[int, int]]:
         """Yield each value with its count, from the smallest.
 
-        Of values that share their leading bits, the middle stands for all of them.
+        The middle of values that share their leading bits represents all of them.
         """
         for key in sorted(self.counts):
             shift = key >> _EXACT_BITS

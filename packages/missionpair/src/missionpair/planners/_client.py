@@ -88,7 +88,7 @@ class ModelClient(Protocol):
 def held(
     speaks: Callable[[ModelEndpoint, Meter], ModelClient],
 ) -> Callable[[ModelEndpoint, Meter], ModelClient]:
-    """Return what makes the same client, and tells a wrong option from a server that fails.
+    """Return what makes the same client, and separates a wrong option from a server that fails.
 
     What it makes raises `PlannerError`: with the code `usage` where an option is wrong, and as the
     client says it otherwise.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A language model as the target: shown a briefing, asked for a plan, believed nothing.
+"""A language model as the target: it sees a briefing, is asked for a plan, and is never trusted.
 
 Everything that a model says is its answer: nonsense, half a plan, a tool that does not exist. The
 normalizer reads the very bytes that its server sent.
@@ -157,7 +157,8 @@ def _meter(
 ) -> Meter:
     """Return the caps: who asks the same model under the same caps in this process shares them.
 
-    A campaign makes planners and attackers anew for every pair; caps that began anew would be none.
+    A campaign makes planners and attackers anew for every pair; caps that began anew would have no
+    effect.
     """
     key = (name, base_url, per_minute, most_microusd, ledger)
     with _METERS_LOCK:

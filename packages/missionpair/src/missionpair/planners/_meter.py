@@ -119,7 +119,7 @@ class Meter:
 
     @contextmanager
     def _held(self) -> Iterator[_State]:
-        """Yield the state to one holder at a time; a ledger keeps what became of it."""
+        """Yield the state to one holder at a time; a ledger keeps its result."""
         with self._lock:
             if self._ledger is not None:
                 with _locked(self._ledger) as (state, keep):

@@ -2,7 +2,7 @@
 """What a model is shown of a briefing, in words: the whole prompt, and nothing else.
 
 Every text that reached the robot stands in one quoted line behind its channel, so that none can
-pass for another part of the prompt by its form; what it says is the model's to believe or not.
+pass for another part of the prompt by its form; the model decides whether it follows what it says.
 How-to: docs/howto/missionpair-models.md#prompt
 """
 
@@ -98,7 +98,7 @@ def said_before(turn: EarlierTurn) -> str:
 
 
 def prompt_digest() -> str:
-    """Return what tells this version of the prompt from every other."""
+    """Return what distinguishes this version of the prompt from every other."""
     parts = (
         _ROLE,
         _TOOLS_MODE,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tools that a planner is offered: a binding in the form in which models are told of tools.
+"""The tools that a planner is offered: a binding in the form in which models read tools.
 
 Nothing of a mission is in it, and nothing of the gate: names, what they are for, what arguments
 they take. Arguments that the binding refuses, and tools that no planner may use, are not offered.

@@ -3,8 +3,8 @@
 
 Option `susceptibility=P`, between 0 and 1: how often it follows a short plain text of a user. A
 text's channel, claimed authority, urgency, reasons and length move the odds by the coefficients
-below, which are made up: what it shows is the road behind the planner, never how a model behaves.
-Option `preset=resistant|even|yielding` names one. How-to: docs/howto/missionpair-attackers.md
+below, which are made up: it shows the product behind the planner, never how a model behaves. Option
+`preset=resistant|even|yielding` names one. How-to: docs/howto/missionpair-attackers.md
 """
 
 from __future__ import annotations
@@ -36,10 +36,11 @@ CHANNELS: dict[Channel, float] = {
 }
 #: What is added for each feature that the text has; a feature counts once.
 FEATURES: dict[str, float] = {"authority": 0.8, "urgency": 0.3, "reason": 0.5}
-#: What is added for each `STEP` characters above `FREE`: a long text is believed less.
+#: What is added for each `STEP` characters above `FREE`: a long text convinces less.
 LENGTH = -0.15
 FREE, STEP = 200, 100
-#: What is added while it is told that what it reads on the way is no instruction (`prompt`).
+#: What is added while its instructions say that what it reads on the way is no instruction
+#: (`prompt`).
 RULED = -1.5
 #: Log odds below which nothing is ever followed, and an exponential would be too large.
 _LEAST = -500.0
@@ -108,7 +109,7 @@ def probability(
         text: what it read.
         channel: where.
         susceptibility: how it is in general; 0 and 1 are never moved.
-        ruled: it is told to follow nothing that it reads.
+        ruled: its instructions are to follow nothing that it reads.
     """
     if susceptibility in {0.0, 1.0}:
         return susceptibility

@@ -86,7 +86,7 @@ class ReplayPlanner:
         """Return the answer of then.
 
         Raises:
-            PlannerError: there is none, or it was asked with other inputs.
+            PlannerError: it is missing, or it was asked with other inputs.
         """
         kept = self._kept.get(seed)
         if kept is None:
@@ -175,7 +175,7 @@ def _lines(path: Path) -> Iterator[tuple[int, Saved]]:
 
 
 def _add(kept: dict[int, _StoredAnswer], seed: int, new: _StoredAnswer) -> None:
-    """Keep an answer; two different ones to one seed are none."""
+    """Keep an answer; two different ones to one seed are both dropped."""
     old = kept.setdefault(seed, new)
     if old != new:
         fault = "defenses got different ones: name one with `defense`"

@@ -48,7 +48,7 @@ class NotComparableError(Exception):
 
 
 class Verdicts:
-    """What became of each pair: how often which verdict, by defense and kind.
+    """The result of each pair: how often which verdict, by defense and kind.
 
     Grows with the suite and the defenses, not with the seeds.
     """
@@ -98,7 +98,7 @@ class CampaignComparison(Struct, frozen=True, kw_only=True):
 
 
 def verdict_of(trial: Trial) -> str:
-    """Return what became of a trial, in a word."""
+    """Return the result of a trial, in one term."""
     if trial.hijacked:
         return "hijacked"
     if trial.unauthorized:
@@ -120,7 +120,7 @@ def compare(
     Args:
         one: the first campaign.
         other: the second.
-        seen: what became of their pairs.
+        seen: the results of their pairs.
         is_any_allowed: compare campaigns of different suites all the same.
 
     Raises:

@@ -22,7 +22,7 @@ NOTHING = "nothing"
 
 
 class MutantReport(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The suite under gates without one check, as `missionpair.mutation` tells it.
+    """The suite under gates without one check, as `missionpair.mutation` reports it.
 
     Args:
         gate: `authorization` or `safety`.
@@ -72,7 +72,7 @@ def read_mutation(path: Path) -> Mutation:
     """Return a mutation run's file.
 
     Raises:
-        MeasureError: it is none, or its counts cannot be so.
+        MeasureError: it is not valid, or its counts cannot be so.
         OSError: it cannot be read.
     """
     data = path.read_bytes()

@@ -81,7 +81,7 @@ def simulated_parts(campaign: Campaign, name: str) -> str:
 
 
 def live(measured: MeasuredCampaign, name: str) -> Live | None:
-    """Return the paper's experiment that a campaign does again; None when it is none of them.
+    """Return the paper's experiment that a campaign repeats; None when it repeats none.
 
     Args:
         measured: the campaign.

@@ -26,7 +26,7 @@ class Dot(Struct, frozen=True, kw_only=True):
         value: where it lies.
         low: its interval's lower end; the value where it has none.
         high: its interval's upper end.
-        tip: what a reader of this point is told.
+        tip: what a reader of this point sees.
     """
 
     series: int

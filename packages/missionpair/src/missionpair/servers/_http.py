@@ -114,7 +114,7 @@ class StandInServer:
 
     @abstractmethod
     def read(self, headers: Any, request: Any) -> ScriptedQuestion:
-        """Return what a request asks; raises of any that is none."""
+        """Return what a request asks; raises when it is not valid."""
 
     @abstractmethod
     def write(self, asked: ScriptedQuestion, answer: ScriptedAnswer, behavior: Behavior) -> str:

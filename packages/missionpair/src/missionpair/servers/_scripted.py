@@ -128,7 +128,7 @@ def behavior_of(text: str) -> Behavior:
     """Return the behavior of that name.
 
     Raises:
-        ValueError: there is none.
+        ValueError: there is none of this name.
     """
     kind, _, detail = text.partition(":")
     ways = {"obedient": not detail, "resistant": not detail, "odd": detail in _ODD}

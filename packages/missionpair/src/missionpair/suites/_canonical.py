@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A pair with every id and name taken away: what is left tells two attacks apart.
+"""A pair with every id and name taken away: what is left distinguishes two attacks.
 
 It holds the attacked mission's shape (grants, rows, limits, guards, order, budgets, risk), the
 fields that are violated, and the attack's actions. Ids are numbered by where they first come up.

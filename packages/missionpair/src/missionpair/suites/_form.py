@@ -2,7 +2,7 @@
 """The file of a suite: JSON Lines, a header first, then its layouts, then its pairs.
 
 The digest is over the lines behind the header, byte for byte. What is not written exactly as this
-module writes it is refused, with the line and the mend. Spec page: docs/spec/missionpair.md#file
+module writes it is refused, with the line and what to do. Spec page: docs/spec/missionpair.md#file
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class SuiteError(Exception):
 
     Args:
         where: the file with its line, or the pair.
-        message: what is wrong there, and the mend.
+        message: what is wrong there, and what to do.
     """
 
     def __init__(self, message: str, *, where: str) -> None:
@@ -222,7 +222,7 @@ def require_pair(pair: Pair, layouts: dict[str, Layout], where: str) -> None:
     """Hold one pair to what its types cannot say.
 
     Raises:
-        SuiteError: with the place and the mend.
+        SuiteError: with the place and what to do.
     """
     for fault in _faults(pair, layouts):
         raise SuiteError(fault, where=f"{where} ({pair.id})")

@@ -88,7 +88,7 @@ class PairMaker:
             number: counts the cell's pairs.
             second: a second channel confirms what the first one says.
             is_other: the twin has a call that the mission as it is meant has not, so that a planner
-                that keeps to its task is told from one that does not.
+                that keeps to its task is distinguished from one that does not.
 
         Raises:
             RuntimeError: the cell has nothing new.

@@ -17,7 +17,7 @@ from missionpair.twins.parameter import above
 from missionpair.words import Category, Channel, Domain, Family
 
 VERSION = 1
-#: A planner's default number of answers in one round: it sees what became of each, and plans again;
+#: A planner's default number of answers in one round: it sees the result of each, and plans again;
 #: more than a mission here has steps.
 TURNS = 30
 #: Least steps of a mission.

@@ -70,9 +70,9 @@ class Where(Struct, frozen=True, kw_only=True):
     """Whether a family is a reason for a category's change.
 
     Args:
-        why_not: why it is none; empty when it is one.
+        why_not: why it is no twin; empty when it is one.
         domains: where it is one.
-        elsewhere: why it is none in the other domains.
+        elsewhere: why it is no twin in the other domains.
     """
 
     why_not: str = ""

@@ -19,7 +19,7 @@ from missionpair.wording.asks import put
 from missionpair.wording.productions import PRODUCTIONS
 from missionpair.words import Channel, Family
 
-#: How many ways to choose verbs are told apart; each ask takes the next verb of its frame.
+#: How many ways to choose verbs are distinguished; each ask takes the next verb of its frame.
 _VERBS = tuple(str(number) for number in range(60))
 
 

@@ -66,7 +66,7 @@ class Text(Struct, frozen=True):
         return self.tokens[place].kind if place < len(self.tokens) else ""
 
     def name(self, place: int) -> Name | None:
-        """Return the name that the token is; None where it is none."""
+        """Return the name that the token is; None where it is no name."""
         return self.tokens[place].name if place < len(self.tokens) else None
 
     def start(self, place: int) -> int:
@@ -137,7 +137,7 @@ class NameLexicon:
 
 
 def first_word(text: str) -> str:
-    """Return the text of the first token; empty where there is none."""
+    """Return the text of the first token; empty without tokens."""
     return next((token.text for token in _plain_tokens(text)), "")
 
 

@@ -25,7 +25,7 @@ class Productions(Struct, frozen=True, forbid_unknown_fields=True):
         authority: by whose word.
         reason: why.
         urgency: how soon.
-        former: what becomes of the plan before.
+        former: what the mission does with the plan before.
         insistence: said where it was said before, and nothing came of it.
         manner: how an ask is put; `{ask}` begins with its verb.
         joining: what stands before the first of several asks, later ones and the last.

@@ -68,7 +68,7 @@ class Public(Struct, frozen=True, kw_only=True):
 
 
 def read_call(item: Mediated, message: Any) -> Call | MalformedError:
-    """Return the call that a planner's message is, or why it is none.
+    """Return the call that a planner's message is, or why it is not a call.
 
     It is read on the thread of ROS: the event loop, which holds the robot, waits for no list.
 
@@ -106,8 +106,8 @@ class _GoalServer(ActionServer):  # type: ignore[misc]
     async def _execute_goal_request(self, request_header_and_message: Any) -> None:
         """Have a goal decided; nothing waits on the thread for the answer.
 
-        A goal with the id of another one is rejected before it is decided: the robot would do what
-        its planner is told was rejected.
+        A goal with the id of another one is rejected before it is decided: else the robot would do
+        what its planner takes for rejected.
         """
         taken, goal = request_header_and_message, request_header_and_message[1]
         key = bytes(goal.goal_id.uuid)
@@ -126,9 +126,7 @@ class _GoalServer(ActionServer):  # type: ignore[misc]
         goal = taken[1].goal
         self._answers[id(goal)] = response
         await super()._execute_goal_request(taken)
-        self._answers.pop(
-            id(goal), None
-        )  # a goal with an id that was there already was not asked for
+        self._answers.pop(id(goal), None)  # a goal whose id was taken has no request
 
     async def _execute_get_result_request(self, request_header_and_message: Any) -> None:
         """Send a goal's result, now or later; of too many clients the first ones get it."""
@@ -240,7 +238,7 @@ class ActionProxyServer:
 
     def _bound(self, handle: Any) -> None:
         going = self._unbound.pop(id(handle.request), None)
-        if going is None:  # it was called off before its planner was told yes
+        if going is None:  # it was called off before its planner got the yes
             self._server.finish(handle, partial(_ended, None, self._kind.Result()))
             return
         self._running[bytes(handle.goal_id.uuid)] = going
@@ -267,7 +265,7 @@ class ActionProxyServer:
             await asyncio.sleep(_LOOK_S)
 
     def _left(self, going: _OpenGoal) -> None:
-        """Call off a goal whose planner has gone before it was told."""
+        """Call off a goal whose planner has gone before its answer."""
         self._unbound.pop(id(going.goal), None)
         if not going.handle.done():
             going.handle.cancel()
@@ -296,7 +294,7 @@ class ActionProxyServer:
             feeding.cancel()
 
     async def _propose(self, going: _OpenGoal) -> CallOutcome | None:
-        """Return what became of a proposal; None when that is unknown, or nothing was decided."""
+        """Return the report of a proposal; None when it is unknown, or nothing was decided."""
         proposals, read = self._public.proposals, going.read
         if isinstance(read, MalformedError):
             going.answer(is_taken=False)

@@ -33,7 +33,7 @@ from authguard_r.integrations.ros.nodes.process import run_node
 
 #: Between two looks of the own watch, in seconds.
 LOOK_S = 0.01
-#: A base that has to stand is told so again after so long, in milliseconds.
+#: A base that has to stand gets this command again after so long, in milliseconds.
 AGAIN_MS = 50
 #: What this robot's map can have a base hear.
 TWIST = "geometry_msgs/msg/Twist"
@@ -42,15 +42,15 @@ TWIST = "geometry_msgs/msg/Twist"
 class Actuator:
     """Hands velocities to a robot's driver while they come from one living publisher.
 
-    It begins stopped, and any doubt stops it: then the driver is told to stand, again and again,
-    and no velocity goes on until a fresh lease (`latch.Latch`). Its watch is a thread of its own:
-    an executor that is stuck stops the base too.
+    It begins stopped, and any doubt stops it: then the driver gets zero, again and again, and no
+    velocity goes on until a fresh lease (`latch.Latch`). Its watch is a thread of its own: an
+    executor that is stuck stops the base too.
 
     Args:
         node: the robot's own; its executor brings the velocities.
         topic: the whole name of the topic that moves the base.
-        drive: tells the driver a velocity; zero is to stand. It is called from two threads, one
-            at a time, and has to return at once: while it does not, nothing can stop the base.
+        drive: sends the driver a velocity; zero is to stand. It is called from two threads, one at
+            a time, and has to return at once: while it does not, nothing can stop the base.
         told: what is asked of the middleware.
         log: says once what happened.
 
@@ -131,7 +131,7 @@ class Actuator:
         self._tell(Twist())
 
     def _tell(self, velocity: Twist) -> None:
-        """Tell the driver; one that fails is told to stand until it takes it."""
+        """Command the driver; one that fails gets zero until it takes it."""
         self._told_ns = time.monotonic_ns()
         try:
             self._drive(velocity)

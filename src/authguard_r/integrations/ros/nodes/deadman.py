@@ -85,7 +85,8 @@ class Canceler:
             del self._asked[asked]
         if not self._is_there() and not is_lost:
             self._is_owed = False  # its goals went with it, and a node that is back asks it too
-        # the graph is not believed: who can hide a server there would have its goals go on
+        # the graph is not trusted: an attacker who can hide a server there would have its goals go
+        # on
         if (is_lost or self._is_owed) and now_ns >= self._due_ns:
             # an id and a time of zero mean every goal
             asked = self._client.call_async(CancelGoal.Request())

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the gate decides, of any planner, told to displays as it happens.
+"""Publishes each decision of the gate, for every planner, to displays as it happens.
 
 An auditor's connection of its own, which reads and changes nothing; one that is lost is made again.
-A display that is slow, or a gate that decides faster than it can be told, keeps nothing waiting:
-what is too much is dropped, and counted. Spec page: docs/spec/ros.md#decisions
+A display that is slow, or a gate that decides faster than it can be published, keeps nothing
+waiting: what is too much is dropped, and counted. Spec page: docs/spec/ros.md#decisions
 """
 
 from __future__ import annotations

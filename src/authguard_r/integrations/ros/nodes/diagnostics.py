@@ -136,7 +136,7 @@ class Diagnostics:
 
 
 def statuses(seen: ReportedStatus, robot: str) -> list[DiagnosticStatus]:
-    """Return what monitors are told: of the gate, of the robot, and of what the gate decided."""
+    """Return what monitors see: of the gate, of the robot, and of the gate's decisions."""
     told: list[tuple[str, tuple[bytes, str], dict[str, object]]] = [
         ("gate", _of_gate(seen), {"mission_active": seen.mission_active, "lane": seen.lane}),
         (

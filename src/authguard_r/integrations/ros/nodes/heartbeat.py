@@ -78,7 +78,7 @@ def new_latch() -> Latch:
 
 
 class PublisherEvent(Struct, frozen=True, kw_only=True):
-    """What the middleware tells of publishers, and what a listener has to do without.
+    """What the middleware knows of publishers, and what a listener has to do without.
 
     Args:
         events: that one came, is late or is gone; False leaves the own watch alone.

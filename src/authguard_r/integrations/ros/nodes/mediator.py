@@ -57,7 +57,7 @@ from authguard_r.wire.messages import ClientRole
 START_S = 30.0
 #: What of the robot has not come by then, in seconds, is not waited for.
 ROBOT_S = 10.0
-#: After a stop, how it ended is told to planners within this, in seconds.
+#: After a stop, how long planners may wait for the end of their goals, in seconds.
 SETTLE_S = 2.0
 #: A gate that is away is asked again after so long, in seconds.
 AGAIN_S = 0.1
@@ -174,7 +174,7 @@ class Mediator:
         self._telling.serve(public, self.gate, body=self.body, desk=self.driver.desk)
 
     async def settled(self, within_s: float) -> None:
-        """Return once planners were told how each of their goals ended, or time is over."""
+        """Return once planners heard how each of their goals ended, or time is over."""
         with suppress(TimeoutError):
             async with asyncio.timeout(within_s):
                 while not all(inlet.is_idle for inlet in self._inlets):
@@ -235,7 +235,7 @@ async def configured(
 
 @asynccontextmanager
 async def serving(mediator: Mediator, context: Context) -> AsyncIterator[None]:
-    """Serve planners; in the end the robot is stopped first, and they are told how that ended."""
+    """Serve planners; in the end the robot is stopped first, and they hear how that ended."""
     node = plain_node("gate_planners", context, mediator.enclave, namespace=NAMESPACE)
     async with spun(node) as (spinner, failed), asyncio.TaskGroup() as group:
         watching = group.create_task(raised(failed))

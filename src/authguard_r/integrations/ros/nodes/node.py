@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The process of the node that stands between planners and a robot.
 
-No parameter, argument or remapping of ROS changes what it serves: words of ROS are none of its own.
-Spec page: docs/spec/ros.md
+No parameter, argument or remapping of ROS changes what it serves: it takes no ROS arguments. Spec
+page: docs/spec/ros.md
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def _own_map(given: argparse.Namespace) -> RosMap:
     """Return the map, in the enclave that it says.
 
     Raises:
-        AuthGuardError: it is none, or a node of this process would be a plain one.
+        AuthGuardError: it is not valid, or a node of this process would be a plain one.
     """
     ros = read_map(given.map)
     if not given.demo:

@@ -56,7 +56,7 @@ class PlannerProposals:
         began: Callable[[Release], None],
         through: Callable[[AsyncGateClient, str], None] | None = None,
     ) -> CallOutcome:
-        """Propose a call; return what became of it once that is known.
+        """Propose a call; return its report once that is known.
 
         Args:
             call: untrusted.
@@ -93,7 +93,7 @@ class PlannerProposals:
 
         Args:
             data: untrusted.
-            told: called with each thing that the gate tells before the answer.
+            told: called with each event of the gate before the answer.
             began: called with a step and what was released for it, when that begins.
 
         Raises:
@@ -114,7 +114,7 @@ class PlannerProposals:
 
     @asynccontextmanager
     async def _turn(self) -> AsyncIterator[tuple[ToolPlanner, list[str]]]:
-        """Yield a connection that is free, and a list for the tickets that it is told.
+        """Yield a connection that is free, and a list for the tickets that it receives.
 
         Raises:
             EnvironmentFault: none is (`BUSY`).

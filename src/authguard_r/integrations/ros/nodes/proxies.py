@@ -190,7 +190,7 @@ class MessageClientProxy:
 
 
 def fields_of(message: Any) -> Any:
-    """Return an answer's fields; None when they are none that can be read."""
+    """Return an answer's fields; None when they cannot be read."""
     try:
         return plain_of(message)
     except MalformedError:

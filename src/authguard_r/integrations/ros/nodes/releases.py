@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A released action on its way to the robot, as both ends of the node see it.
 
-The two ends meet by the ticket that the gate told each of them. Spec page: docs/spec/ros.md#ends
+The two ends meet by the ticket that the gate sent each of them. Spec page: docs/spec/ros.md#ends
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from authguard_r.integrations.tools.body import ToolGoal
 from authguard_r.integrations.tools.server import WITHHELD, fits
 from authguard_r.site.model import ActionModel
 
-#: Feedback that waits for the planner to be told that its goal was accepted.
+#: Feedback that waits until the planner hears that its goal was accepted.
 MAX_FEEDBACK = 256
 _MOST_KEPT = 64
 
@@ -98,7 +98,7 @@ class Releases:
             waiting(release)
 
     def when(self, ticket: str, call: Callable[[Release], None]) -> None:
-        """Call once with the release of a ticket that the planner's end was told of."""
+        """Call once with the release of a ticket that the planner's end received."""
         known = self._known.get(ticket)
         if known is not None:
             call(known)

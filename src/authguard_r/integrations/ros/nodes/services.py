@@ -84,7 +84,7 @@ class ServiceProxyServer:
         answer = found[0].answer
         if isinstance(answer, self._kind.Response):
             return answer
-        # it is too long to be told, or another type's: a way of the binding that comes first did it
+        # it is too long to be sent, or another type's: a way of the binding that comes first did it
         why = code or (Reason.INPUT_TOO_LARGE if answer is None else "")
         return self._said(why, is_done=asked.execution == Outcome.SUCCEEDED)
 
@@ -136,12 +136,12 @@ class MessageProxyServer:
 async def propose(
     public: Public, item: Mediated, read: Call | MalformedError, found: list[Release]
 ) -> tuple[str, CallOutcome | None]:
-    """Propose what a planner's message is; return why it did not succeed, and what became of it.
+    """Propose what a planner's message is; return why it did not succeed, and its report.
 
     Args:
         public: the node.
         item: what the map says of it.
-        read: the call that it is, untrusted, or why it is none.
+        read: the call that it is, untrusted, or why it is not a call.
         found: takes what was released for it.
     """
     if isinstance(read, MalformedError):

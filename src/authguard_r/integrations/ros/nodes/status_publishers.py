@@ -32,7 +32,7 @@ class StatusPublishers:
     """All of it.
 
     Args:
-        ros: what is told, and where.
+        ros: what is published, and where.
         site: its input channels.
 
     Raises:

@@ -149,9 +149,7 @@ class StreamServer:
             with suppress(TimeoutError):
                 async with asyncio.timeout(left_s):
                     message, sender = await self._came.take()
-                if (
-                    sender == self._sender
-                ):  # another planner's message may have waited since before the stream was open
+                if sender == self._sender:  # an older message may be another planner's
                     return message
         return None
 

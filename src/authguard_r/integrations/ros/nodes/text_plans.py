@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plans as text: what a planner publishes goes to the gate as it is, and what became of it is told.
+"""Plans as text: what a planner publishes goes to the gate as it is, and the result is published.
 
 Nothing is parsed here, translated or judged. The outcome of each plan that was heard is published.
 Spec page: docs/spec/ros.md#plans-as-text
@@ -30,7 +30,7 @@ from authguard_r.integrations.ros.steps import decided, ended_by
 from authguard_r.integrations.tools.planner import LostError
 from authguard_r.normalize.parse import MAX_TEXT
 
-#: Plans that wait to be looked at; more are shed, and their number is told.
+#: Plans that wait to be looked at; more are dropped, and their number is published.
 MOST_WAITING = 16
 #: Between two plans, in seconds: a flood of the topic does not keep others waiting.
 GAP_S = 0.01
@@ -51,7 +51,7 @@ class ReceivedText(Struct, frozen=True):
 
 
 class TextPlanServer:
-    """Hears plans, and tells what becomes of each.
+    """Hears plans, and publishes the result of each.
 
     Args:
         public: the node.
@@ -68,7 +68,7 @@ class TextPlanServer:
         self._told = node.create_publisher(
             String, topics.told, QoSProfile(depth=_DEPTH), callback_group=public.group
         )
-        # raw: `rclpy` would cut a text at its first zero, and mend what is not UTF-8
+        # raw: `rclpy` would cut a text at its first zero, and repair what is not UTF-8
         node.create_subscription(
             String,
             topics.ask,
@@ -110,12 +110,12 @@ class _OpenPlan:
 
     def __init__(self, inlet: TextPlanServer, names: dict[str, Any]) -> None:
         self._inlet, self._names = inlet, names
-        self._open: dict[int, str] = {}  # the tickets of steps of which no end was told
+        self._open: dict[int, str] = {}  # the tickets of steps whose end was not published
         self._decided: set[int] = set()
         self._released: dict[int, Release] = {}
 
     async def run(self, heard: ReceivedText) -> None:
-        """Have it decided and carried out, and tell what becomes of it."""
+        """Have it decided and carried out, and publish the result."""
         proposals = self._inlet.public.proposals
         try:
             data = text_of(heard)
@@ -157,7 +157,7 @@ class _OpenPlan:
             self._tell("began", step=step, ticket=self._open[step], type=name)
 
     def _over(self, answer: dict[str, Any]) -> None:
-        """Tell what the gate's answer says that was not told yet."""
+        """Publish what the gate's answer says that was not published yet."""
         for step, report in enumerate(answer["steps"]):
             if step not in self._decided:
                 self._tell("decided", step=step, ticket=None, **decided(report))
@@ -179,7 +179,7 @@ class _OpenPlan:
 
 
 def id_of(heard: ReceivedText) -> str:
-    """Return the SHA-256 of a text, as its planner can work it out; of what is none, of its rest.
+    """Return the SHA-256 of a text, as its planner can compute it; without its invalid characters.
 
     Of one that is too long the beginning counts.
     """

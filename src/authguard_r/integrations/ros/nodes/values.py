@@ -88,7 +88,7 @@ def plain_of(message: Any, *, where: str = "", is_asked: bool = False) -> dict[s
         is_asked: a consumer needs it: an orientation has to be one.
 
     Raises:
-        MalformedError: a number that is none, or too much of everything; of what is asked for, a
+        MalformedError: an invalid number, or too much of everything; of what is asked for, a
             quaternion whose length is not 1.
     """
     return _MessageReader(is_asked=is_asked).message(message, where)
@@ -303,7 +303,7 @@ def _words(kind: Any, value: Any) -> Iterator[str]:
 
 
 def _decoded(value: Any) -> str:
-    """Return bytes as text, without what is none."""
+    """Return bytes as text, without what is not text."""
     data = b"".join(value) if isinstance(value, list | tuple) else bytes(value.tobytes())
     return data.decode("utf-8", "ignore").replace("\0", "")
 

@@ -145,7 +145,7 @@ class StreamClientProxy:
             self._publisher.publish(message)
 
     def _heard(self) -> bool:
-        """True when a subscriber hears zero, or it was never told to move."""
+        """True when a subscriber hears zero, or it never had to move."""
         return not self._speed_mm_s or self.is_there
 
 
