@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measures of the layout of `src/`: loose modules, loaded lines, circles, names, long functions.
+"""Measures of the layout of `src/`: loose modules, loaded lines, circles, names, long code.
 
 `python tests/layout.py` prints each measure with its bound of `tests/layout.toml`.
 """
@@ -28,6 +28,8 @@ BOUNDS = ROOT / "tests" / "layout.toml"
 PACKAGES = ("authguard_r", "authguard_reference", "missionpair")
 #: The programs of the gate's process and of the stop process: what they import is the trusted code.
 GATE, STOP = "authguard_r.server.main", "authguard_r.estop.main"
+#: The most lines of code of a module.
+MODULE = 300
 #: The most lines of a function, from `def` to the last line.
 FUNCTION = 60
 #: A measure in lines may stay this far below its bound; every other measure equals its bound.
@@ -59,6 +61,7 @@ def measures() -> dict[str, list[str]]:
         "import_circles": [" ".join(circle) for circle in import_circles()],
         "repeated_class_names": repeated_class_names(),
         "long_functions": long_functions(),
+        "long_modules": long_modules(),
         "module_numbers": module_numbers(loaded(GATE)),
         "unused_names": unused_names(),
     }
@@ -125,6 +128,15 @@ def long_functions() -> list[str]:
         for node in _nodes(path)
         if isinstance(node, _FUNCTIONS)
         and (length := (node.end_lineno or 0) - node.lineno + 1) > FUNCTION
+    ]
+
+
+def long_modules() -> list[str]:
+    """Return the modules that are too long, each with its lines of code."""
+    return [
+        f"{path.relative_to(ROOT)} {length}"
+        for path in sources()
+        if (length := _code_lines(path)) > MODULE
     ]
 
 

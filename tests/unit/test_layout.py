@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
@@ -33,6 +34,17 @@ def test_an_import_that_a_part_may_not_have_is_seen(tmp_path: Path) -> None:
     code, said = contracts_hold(copy)
     assert code == 1
     assert "drafting imports the site and the core BROKEN" in said
+
+
+def test_every_integration_connects_to_a_gate_by_the_one_reconnecting_client() -> None:
+    """A connection of its own would have its own waits, its own checks and its own faults."""
+    connects = re.compile(r"GateClient\.connect|open_unix_connection|AF_UNIX")
+    found = [
+        str(path.relative_to(layout.ROOT))
+        for path in (layout.SRC / "authguard_r" / "integrations").rglob("*.py")
+        if connects.search(path.read_text())
+    ]
+    assert found == []
 
 
 def test_the_layout_keeps_to_its_bounds_and_the_bounds_follow_it() -> None:
