@@ -36,7 +36,8 @@ def environment(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("HTTP_PROXY", "http_proxy", "ALL_PROXY"):
         monkeypatch.setenv(name, "http://127.0.0.1:9")  # nothing of the environment is used
     monkeypatch.setenv("OPENAI_ORG_ID", "org-of-somebody")
-    monkeypatch.setenv("ANTHROPIC_CUSTOM_HEADERS", "x-told: everybody")
+    for name in ("ANTHROPIC_CUSTOM_HEADERS", "OPENAI_CUSTOM_HEADERS"):
+        monkeypatch.setenv(name, "x-told: everybody\nauthorization: Bearer another\nhost: other")
 
 
 def client(kind: str, server: StandInServer, meter: Meter | None = None, **changes: Any) -> Any:
@@ -101,6 +102,7 @@ def test_nothing_of_the_environment_is_sent_but_the_key(kind: str) -> None:
         ask(client(kind, server, key_env="TEST_MODEL_KEY"))
         (_, _, headers, _) = server.seen[0]
     assert headers["authorization"] == f"Bearer {KEY}"
+    assert headers["host"] == server.base_url.split("/")[2]
     assert "x-told" not in headers
     assert not any("organization" in name or "stainless" in name for name in headers)
 
@@ -205,7 +207,11 @@ def test_no_server_no_key_no_model_and_no_address_are_told(
             assert "secret" not in str(failed.value)
         for local in ("http://localhost:1/v1", "http://[::1]:1/v1", "https://models.example/v1"):
             client(kind, server, base_url=local, key_env="TEST_MODEL_KEY")
+        made = client(kind, server, key_env="TEST_MODEL_KEY")
         monkeypatch.setenv("TEST_MODEL_KEY", "two\nlines")
+        with pytest.raises(PlannerError, match="holds no key") as failed:
+            ask(made)
+        assert (failed.value.code, failed.value.where) == ("refused", "key_env")
         with pytest.raises(PlannerError, match="holds no key"):
             client(kind, server, key_env="TEST_MODEL_KEY")
         assert server.requests == 0

@@ -93,11 +93,15 @@ class _ServerChat(Struct, frozen=True):
         address, protocol, ends = self.address, self.protocol, time.monotonic() + self.total_s
         part = library(protocol.package)
         address.require()
-        body = protocol.body(address, asked)
+        body, headers = protocol.body(address, asked), protocol.headers(address, asked)
 
         def once() -> bytes:
             return exchange(
-                address, part, lambda web: protocol.post(part, web, address, body), ends=ends
+                address,
+                part,
+                lambda web: protocol.post(part, web, address, body),
+                headers=headers,
+                ends=ends,
             )
 
         raw, _ = retried(once, retries=address.retries, ends=ends)
@@ -109,7 +113,7 @@ class _ServerChat(Struct, frozen=True):
             return MalformedError(error.message, where="reply", reason=Reason.INPUT_TOO_LARGE)
         if error.kind is FaultKind.PROTOCOL:
             return MalformedError(f"the model server {error.message}", where="reply")
-        if error.kind is FaultKind.ADDRESS:
+        if error.kind in {FaultKind.ADDRESS, FaultKind.CLEARTEXT}:
             return MalformedError(error.message, where="base_url")
         if error.kind in _MENDS:
             mend, where = _MENDS[error.kind]
@@ -144,7 +148,7 @@ def _whole_text(reply: ModelReply) -> str:
         MalformedError: it is not.
     """
     if not reply.ended:
-        message = f"expected a whole answer, got `{reply.stop or None}`"
+        message = f"expected a whole answer, got `{ascii(reply.stop or None)[:80]}`"
         raise MalformedError(message, where="reply")
     if reply.called or reply.parts != 1 or not reply.text.strip():
         raise MalformedError("expected text and nothing else", where="reply")

@@ -13,7 +13,7 @@ import os
 import socket
 import ssl
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from enum import StrEnum
 from functools import cache
@@ -21,7 +21,6 @@ from importlib import import_module
 from ipaddress import ip_address
 from threading import Timer
 from typing import TYPE_CHECKING, Any, TypeVar
-from urllib.parse import urlsplit
 
 import msgspec
 from msgspec import Struct
@@ -34,11 +33,13 @@ T = TypeVar("T")
 MAX_BODY = 1 << 23
 #: Statuses after which another attempt can help.
 _PASSING = frozenset({408, 409, 425, 429, 500, 502, 503, 504, 529})
-#: Headers that are sent; the libraries add more, also from the environment.
-_SENT = frozenset(
-    {"accept", "anthropic-version", "authorization", "connection", "content-length"}
-    | {"content-type", "host", "user-agent", "x-api-key"}
-)
+#: Headers of every request. The libraries' own are dropped: some come from the environment.
+_HEADERS = {
+    "accept": "application/json",
+    "accept-encoding": "identity",
+    "content-type": "application/json",
+    "user-agent": "authguard-r",
+}
 
 
 class FaultKind(StrEnum):
@@ -46,6 +47,7 @@ class FaultKind(StrEnum):
 
     MISSING_PACKAGE = "missing package"
     ADDRESS = "address"
+    CLEARTEXT = "cleartext"
     KEY = "key"
     LATE = "late"
     UNREACHABLE = "unreachable"
@@ -123,10 +125,10 @@ class ModelAddress(Struct, frozen=True, kw_only=True):
             ModelServerError: it is no such address, it holds no key, or the key would travel
                 without encryption.
         """
-        host = _host(self.base_url)
-        if self.key_env and self.base_url.startswith("http://") and not _is_loopback(host):
-            message = f"the key of `{self.key_env}` would travel to `{host}` in the clear"
-            raise ModelServerError(f"{message}: use https", FaultKind.ADDRESS)
+        url = _url(self.base_url)
+        if self.key_env and url.scheme == "http" and not _is_loopback(url.host):
+            message = f"the key of `{self.key_env}` would travel to `{url.host}` in the clear"
+            raise ModelServerError(f"{message}: use https", FaultKind.CLEARTEXT)
         self.key()
 
 
@@ -180,7 +182,12 @@ def retried(
 
 
 def exchange(
-    address: ModelAddress, part: Any, post: Callable[[httpx2.Client], bytes], *, ends: float
+    address: ModelAddress,
+    part: Any,
+    post: Callable[[httpx2.Client], bytes],
+    *,
+    headers: Mapping[str, str],
+    ends: float,
 ) -> bytes:
     """Send one request and return the reply's exact body.
 
@@ -188,17 +195,20 @@ def exchange(
         address: where.
         part: the client library, for its errors.
         post: sends the request and returns the body.
+        headers: the protocol's own, with the key.
         ends: when the whole reply has to be there, on `time.monotonic`.
 
     Raises:
         ModelServerError: no whole reply. No key and no body are in the error or behind it.
     """
-    with _web(ends) as web:
+    web = library("httpx2")
+    transport = _bounded(web, headers, ends)
+    with web.Client(transport=transport, trust_env=False, follow_redirects=False) as client:
         try:
-            return post(web)
+            return post(client)
         except part.APIStatusError as error:
             raise _status(address, error) from None
-        except (part.APIError, ModelServerError, OSError, ValueError) as error:
+        except Exception as error:  # noqa: BLE001 - a library fails in any way at a strange reply
             raise _broken(address, part, error, late=time.monotonic() >= ends) from None
 
 
@@ -238,7 +248,7 @@ def _said(address: ModelAddress, body: bytes) -> str:
     try:
         error = msgspec.json.decode(body)["error"]
         text = str(error if isinstance(error, str) else error["message"])
-    except (msgspec.DecodeError, KeyError, TypeError, RecursionError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         return ""
     if address.key_env:
         text = text.replace(address.key(), "[key]")
@@ -251,26 +261,24 @@ def _asked_wait(headers: Any) -> float | None:
         wait_s = float(headers.get("retry-after", ""))
     except ValueError:  # a date, or nothing
         return None
-    return wait_s if wait_s >= 0 else None
+    return wait_s if 0 <= wait_s < math.inf else None
 
 
-def _host(base_url: str) -> str:
-    """Return the host of an address that holds no credentials.
+def _url(base_url: str) -> Any:
+    """Return an address that holds no credentials, as the HTTP client reads it.
 
     Raises:
         ModelServerError: it is no such address.
     """
-    try:
-        parts = urlsplit(base_url)
-        host, _ = parts.hostname, parts.port
-    except ValueError:
-        host, parts = None, urlsplit("")
-    plain = not (parts.query or parts.fragment or "@" in parts.netloc)
-    if parts.scheme not in {"http", "https"} or not host or not plain:
-        # the address itself is not repeated: it may hold a password
-        message = "expected an address such as http://127.0.0.1:8000/v1, without a name or a key"
-        raise ModelServerError(f"{message} in it", FaultKind.ADDRESS)
-    return host
+    web = library("httpx2")
+    with suppress(web.InvalidURL):
+        url = web.URL(base_url)
+        bare = not (url.userinfo or url.query or url.fragment or "@" in base_url)
+        if url.scheme in {"http", "https"} and url.host and bare:
+            return url
+    # the address itself is not repeated: it may hold a password
+    message = "expected an address such as http://127.0.0.1:8000/v1, without a name or a key in it"
+    raise ModelServerError(message, FaultKind.ADDRESS)
 
 
 def _is_loopback(host: str) -> bool:
@@ -282,20 +290,17 @@ def _is_loopback(host: str) -> bool:
         return False
 
 
-def _web(ends: float) -> httpx2.Client:
-    """Return an HTTP client that takes nothing from the environment and follows no redirect."""
-    web = library("httpx2")
-    client: httpx2.Client = web.Client(
-        transport=_bounded(web, ends), trust_env=False, follow_redirects=False
-    )
-    return client
-
-
 class _Deadline:
-    """Closes a connection when its time is over, so that no read waits longer."""
+    """Closes a connection when its time is over, so that no read waits longer.
 
-    def __init__(self, ends: float) -> None:
+    Args:
+        ends: when, on `time.monotonic`.
+        late: raised at the connection's next step once the time is over.
+    """
+
+    def __init__(self, ends: float, late: Exception) -> None:
         self.left_s = max(ends - time.monotonic(), 0.001)
+        self._ends, self._late = ends, late
         self._socket: socket.socket | None = None
         self._timer = Timer(self.left_s, self._close)
         self._timer.daemon = True
@@ -305,11 +310,19 @@ class _Deadline:
 
     def end(self) -> None:
         self._timer.cancel()
+        if self._socket is not None:
+            self._socket.close()
+
+    def require(self) -> None:
+        if time.monotonic() >= self._ends:
+            raise self._late
 
     def trace(self, event: str, info: dict[str, Any]) -> None:
         """Take the connection's socket; the transport calls this at each of its steps."""
-        if event in {"connection.connect_tcp.complete", "connection.start_tls.complete"}:
-            self._socket = info["return_value"].get_extra_info("socket")
+        if event == "connection.connect_tcp.complete":
+            # a copy: TLS takes the socket itself over, and a shutdown of either ends both
+            self._socket = info["return_value"].get_extra_info("socket").dup()
+        self.require()
 
     def _close(self) -> None:
         if self._socket is not None:
@@ -317,7 +330,7 @@ class _Deadline:
                 self._socket.shutdown(socket.SHUT_RDWR)
 
 
-def _bounded(web: Any, ends: float) -> Any:
+def _bounded(web: Any, headers: Mapping[str, str], ends: float) -> Any:
     """Return a transport whose every reply has an end: in bytes, and in time."""
 
     class BoundedBody(web.SyncByteStream):  # type: ignore[misc] # optional
@@ -330,9 +343,9 @@ def _bounded(web: Any, ends: float) -> Any:
                 seen += len(chunk)
                 if seen > MAX_BODY:
                     raise _unread(f"sent more than {MAX_BODY} bytes", FaultKind.TOO_LARGE)
+                self._deadline.require()
                 yield chunk
-            if time.monotonic() >= ends:  # a closed connection may look like a reply's end
-                raise web.ReadTimeout("the whole reply took too long")
+            self._deadline.require()  # a closed connection may look like a reply's end
 
         def close(self) -> None:
             self._deadline.end()
@@ -340,12 +353,17 @@ def _bounded(web: Any, ends: float) -> Any:
 
     class Transport(web.HTTPTransport):  # type: ignore[misc] # optional
         def handle_request(self, request: Any) -> Any:
-            deadline = _Deadline(ends)
+            deadline = _Deadline(ends, web.ReadTimeout("the whole reply took too long"))
             waits = request.extensions.get("timeout", {})
             sent = web.Request(  # a new one: the library reads the old one's headers later
                 request.method,
                 request.url,
-                headers={k: v for k, v in request.headers.items() if k.lower() in _SENT},
+                headers={
+                    "host": request.url.netloc.decode(),
+                    "content-length": request.headers["content-length"],
+                    **_HEADERS,
+                    **headers,
+                },
                 stream=request.stream,
                 extensions={
                     **request.extensions,

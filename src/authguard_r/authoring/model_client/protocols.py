@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 from msgspec import Struct
 
@@ -24,32 +24,13 @@ _VERSION, _WITH_TEMPERATURE = "2026-10-21", "2023-06-01"
 _READ = ("input_tokens", "cache_creation_input_tokens", "cache_read_input_tokens")
 
 
-class ModelTool(Protocol):
-    """One tool as a model is offered it."""
-
-    @property
-    def name(self) -> str:
-        """Its name."""
-        ...
-
-    @property
-    def description(self) -> str:
-        """What it is for."""
-        ...
-
-    @property
-    def parameters(self) -> dict[str, Any]:
-        """The JSON schema of its arguments."""
-        ...
-
-
 class ModelRequest(Struct, frozen=True, kw_only=True):
     """What a model is asked.
 
     Args:
         system: its instructions.
         messages: who (`user` or `assistant`) wrote what, oldest first.
-        tools: what it may call.
+        tools: what it may call: name, purpose, and the JSON schema of the arguments.
         seed: of its random choices, where the protocol has one; None sends none.
         max_tokens: most that it may write; None leaves it to the server, where the protocol can.
         temperature: of its random choices; None sends none, for models that take none.
@@ -57,7 +38,7 @@ class ModelRequest(Struct, frozen=True, kw_only=True):
 
     system: str
     messages: Sequence[tuple[str, str]]
-    tools: Sequence[ModelTool] = ()
+    tools: Sequence[tuple[str, str, dict[str, Any]]] = ()
     seed: int | None = None
     max_tokens: int | None = None
     temperature: float | None = None
@@ -100,6 +81,14 @@ class ModelProtocol(ABC):
     @abstractmethod
     def published(self, temperature: float | None) -> dict[str, Any]:
         """Return what of the protocol shapes an answer, for a report."""
+
+    def headers(self, address: ModelAddress, asked: ModelRequest) -> dict[str, str]:  # noqa: ARG002
+        """Return the key as a bearer token, and the protocol's own headers.
+
+        Raises:
+            ModelServerError: there is no key.
+        """
+        return {"authorization": f"Bearer {address.key()}"}
 
     @abstractmethod
     def body(self, address: ModelAddress, asked: ModelRequest) -> Body:
@@ -149,17 +138,9 @@ class OpenAIProtocol(ModelProtocol):
         if asked.temperature is not None:
             body["temperature"] = asked.temperature
         if asked.tools:
-            body["tools"] = [
-                {
-                    "type": "function",
-                    "function": {
-                        "name": tool.name,
-                        "description": tool.description,
-                        "parameters": tool.parameters,
-                    },
-                }
-                for tool in asked.tools
-            ]
+            keys = ("name", "description", "parameters")
+            functions = [dict(zip(keys, tool, strict=True)) for tool in asked.tools]
+            body["tools"] = [{"type": "function", "function": one} for one in functions]
         return body
 
     def post(self, part: Any, web: Any, address: ModelAddress, body: Body) -> bytes:
@@ -202,6 +183,11 @@ class AnthropicProtocol(ModelProtocol):
         """Return that answers have no seed, and the version."""
         return {"seeded": False, "version": _version(temperature)}
 
+    def headers(self, address: ModelAddress, asked: ModelRequest) -> dict[str, str]:
+        """Return the key as a bearer token, and the version."""
+        version = {"anthropic-version": _version(asked.temperature)}
+        return {**super().headers(address, asked), **version}
+
     def body(self, address: ModelAddress, asked: ModelRequest) -> Body:
         """Return what is sent."""
         body: Body = {
@@ -209,19 +195,12 @@ class AnthropicProtocol(ModelProtocol):
             "max_tokens": asked.max_tokens,
             "system": asked.system,
             "messages": [{"role": role, "content": text} for role, text in asked.messages],
-            "extra_headers": {"anthropic-version": _version(asked.temperature)},
         }
         if asked.temperature is not None:
             body["extra_body"] = {"temperature": asked.temperature}
         if asked.tools:
-            body["tools"] = [
-                {
-                    "name": tool.name,
-                    "description": tool.description,
-                    "input_schema": tool.parameters,
-                }
-                for tool in asked.tools
-            ]
+            keys = ("name", "description", "input_schema")
+            body["tools"] = [dict(zip(keys, tool, strict=True)) for tool in asked.tools]
         return body
 
     def post(self, part: Any, web: Any, address: ModelAddress, body: Body) -> bytes:

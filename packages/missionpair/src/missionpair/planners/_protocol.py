@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 from msgspec.structs import asdict, replace
 
-from authguard_r.authoring.model_client.exchange import FaultKind, ModelServerError, library
+from authguard_r.authoring.model_client.exchange import ModelServerError, library
 from authguard_r.authoring.model_client.protocols import (
     AnthropicProtocol,
     Body,
@@ -22,16 +22,10 @@ from missionpair.briefing import OfferedTool, PlannerError
 from missionpair.planners._client import Completion
 from missionpair.planners._meter import Meter
 from missionpair.planners._reach import SCRIPTED, ModelEndpoint
-from missionpair.planners._sending import send
+from missionpair.planners._sending import planner_error, send
 
 #: Tokens that a server may add itself, such as its instructions for calling tools.
 _ADDED = 1_000
-#: Of each fault before the first request: a planner's error code, what to do, and where it lies.
-_SET_UP = {
-    FaultKind.MISSING_PACKAGE: ("unreachable", ": install `missionpair[llm]`", ""),
-    FaultKind.ADDRESS: ("unreachable", "", "base_url"),
-    FaultKind.KEY: ("refused", ": set it, or name another one with `key_env`", "key_env"),
-}
 
 
 class SpokenClient:
@@ -55,9 +49,7 @@ class SpokenClient:
             library(self.protocol.package)
             reach.require()
         except ModelServerError as error:
-            code, mend, where = _SET_UP[error.kind]
-            where = where or self.protocol.package
-            raise PlannerError(f"{error.message}{mend}", code=code, where=where) from error
+            raise planner_error(reach, error) from error
         if not reach.model:
             message = "no model is named: say `model=NAME` as its server calls it"
             raise PlannerError(message, code="refused", where="model")
@@ -100,27 +92,27 @@ class SpokenClient:
         asked = ModelRequest(
             system=_clean(system),
             messages=[(role, _clean(text)) for role, text in messages],
-            tools=tools,
+            tools=[(tool.name, tool.description, tool.parameters) for tool in tools],
             seed=seed,
             max_tokens=max_tokens,
             temperature=reach.temperature,
         )
         body = protocol.body(reach, asked)
         most = self._most(body, max_tokens)
-        part = library(protocol.package)
-        sent = send(
-            reach,
-            self.meter,
-            part,
-            lambda web: protocol.post(part, web, reach, body),
-            most_microusd=most,
-            pause=self._pause,
-        )
         try:
+            part = library(protocol.package)
+            sent = send(
+                reach,
+                self.meter,
+                part,
+                lambda web: protocol.post(part, web, reach, body),
+                headers=protocol.headers(reach, asked),
+                most_microusd=most,
+                pause=self._pause,
+            )
             reply = protocol.read(sent.body)
         except ModelServerError as error:
-            message = f"the model server at `{reach.base_url}` {error.message}"
-            raise PlannerError(message, code="protocol", where="base_url") from None
+            raise planner_error(reach, error) from None
         done = Completion(**asdict(reply), took_us=sent.took_us, attempts=sent.attempts)
         self._require_told_apart(done.model)
         return self._settled(done, set_aside=most)

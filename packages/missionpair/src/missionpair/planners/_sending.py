@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct
@@ -30,6 +30,13 @@ _FAULTS = {
     FaultKind.PROTOCOL: ("protocol", "check that it speaks the protocol"),
     FaultKind.TOO_LARGE: ("protocol", "check that it speaks the protocol"),
 }
+#: Of each fault of the set-up: a planner's error code, what to do, and where it lies.
+_SET_UP = {
+    FaultKind.MISSING_PACKAGE: ("unreachable", ": install `missionpair[llm]`", ""),
+    FaultKind.ADDRESS: ("unreachable", "", "base_url"),
+    FaultKind.CLEARTEXT: ("refused", "", "base_url"),
+    FaultKind.KEY: ("refused", ": set it, or name another one with `key_env`", "key_env"),
+}
 
 
 class ReceivedReply(Struct, frozen=True):
@@ -46,6 +53,7 @@ def send(
     part: Any,
     post: Callable[[httpx2.Client], bytes],
     *,
+    headers: Mapping[str, str],
     most_microusd: int,
     pause: Callable[[float], None] = time.sleep,
 ) -> ReceivedReply:
@@ -56,12 +64,13 @@ def send(
         meter: the caps; the most that an attempt can cost stays set aside with it.
         part: the client library, for its errors.
         post: sends the request and returns the body.
+        headers: the protocol's own, with the key.
         most_microusd: the most that one attempt can cost.
         pause: waits so many seconds.
 
     Raises:
-        PlannerError: no answer (`unreachable`), too many requests (`limit`), a cap (`cost`), a key
-            or a request that the server refuses (`refused`), or no reply at all (`protocol`).
+        PlannerError: a cap is reached (`cost`), or the ledger cannot be used.
+        ModelServerError: the last attempt's.
     """
 
     def once() -> tuple[bytes, int]:
@@ -72,28 +81,34 @@ def send(
             meter.give_back(most_microusd)
             raise
         began = time.perf_counter_ns()
+        ends = time.monotonic() + reach.timeout_s
         try:
-            body = exchange(reach, part, post, ends=time.monotonic() + reach.timeout_s)
+            body = exchange(reach, part, post, headers=headers, ends=ends)
         except ModelServerError as error:
             if not error.billed:
                 meter.give_back(most_microusd)
             raise
         return body, (time.perf_counter_ns() - began) // 1_000
 
-    try:
-        (body, took_us), attempts = retried(
-            once,
-            retries=reach.retries,
-            backoff_s=reach.backoff_s,
-            patience_s=reach.patience_s,
-            pause=pause,
-        )
-    except ModelServerError as error:
-        raise _given_up(reach, error) from None
+    (body, took_us), attempts = retried(
+        once,
+        retries=reach.retries,
+        backoff_s=reach.backoff_s,
+        patience_s=reach.patience_s,
+        pause=pause,
+    )
     return ReceivedReply(body, took_us, attempts)
 
 
-def _given_up(reach: ModelEndpoint, error: ModelServerError) -> PlannerError:
+def planner_error(reach: ModelEndpoint, error: ModelServerError) -> PlannerError:
+    """Return a fault of the set-up or of a server as a planner's error.
+
+    Its code: no answer (`unreachable`), too many requests (`limit`), a key or a request that is
+    refused (`refused`), or no reply of the protocol (`protocol`).
+    """
+    if error.kind in _SET_UP:
+        code, mend, where = _SET_UP[error.kind]
+        return PlannerError(f"{error.message}{mend}", code=code, where=where or reach.protocol)
     code, mend = _FAULTS.get(error.kind, ("unreachable", "check `base_url`, and that it runs"))
     late = error.kind is FaultKind.LATE
     did = f"did not answer within {reach.timeout_s:g} s" if late else error.message
