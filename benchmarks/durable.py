@@ -181,7 +181,7 @@ def _counting(folder: Path) -> _Counting:
 def _verifies_anew(held: Bench, trust: _Counting, digest: Digest) -> bool:
     """True when the mission is not among the kept ones: asking for it verifies a token."""
     before = trust.verifications
-    held.gate.ledger.run(lambda act: held.gate.enforcer.intake.mission(act, digest))
+    held.gate.ledger.run(lambda act: held.gate.enforcer.inputs.mission(act, digest))
     return trust.verifications == before + 1
 
 
@@ -229,10 +229,10 @@ def _ledger(held: Bench, step: Step, evidence: Digest) -> Callable[[], int]:
 
 def _plan(held: Bench, length: int) -> Callable[[], int]:
     data = reply(length=length)
-    intake = held.gate.enforcer.intake
+    inputs = held.gate.enforcer.inputs
 
     def once() -> int:
-        intake.forget()
+        inputs.forget()
         start = perf_counter_ns()
         plan = read_plan(data, binder=held.binder)
         total = perf_counter_ns() - start

@@ -23,7 +23,7 @@ from authguard_r.keys.signer import folder_signer, gate_name
 from authguard_r.keys.trust import read_trust
 from authguard_r.normalize import Binder, read_plan
 from authguard_r.safety import EnvelopeGate, default_config
-from authguard_r.server.proposals import Keeper, ProposalRecord
+from authguard_r.server.proposals import CommitRecorder, ProposalRecord
 from authguard_r.server.wiring import LogSettings, assemble
 from authguard_r.sim.robot import SymbolicRobot
 from authguard_r.sim.world import initial_state
@@ -180,7 +180,7 @@ class _Twin:
         keep = {}
         if key is not None:
             nothing = ProposalRecord(evidence=plan.evidence, planned=1, steps=())
-            keep = {"keep": Keeper(_PLANNER, key, nothing)}
+            keep = {"keep": CommitRecorder(_PLANNER, key, nothing)}
         begun = self._gate.enforcer.submit(
             plan.steps[0], planner=_PLANNER, evidence=plan.evidence, context=self._context, **keep
         )

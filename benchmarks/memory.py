@@ -94,11 +94,11 @@ def tokens(effort: Effort) -> dict[str, Timing]:
     biscuit = BiscuitGate(scene())
     held = bench(MemoryStore(), trust=known)
     kept = held.gate.management.activate(long_mission("kept")).digest
-    intake = held.gate.enforcer.intake
+    inputs = held.gate.enforcer.inputs
 
     def keep() -> int:
         """Ask inside a turn, as the enforcer does; only the asking counts."""
-        return held.gate.ledger.run(lambda act: timed(lambda: intake.mission(act, kept))())
+        return held.gate.ledger.run(lambda act: timed(lambda: inputs.mission(act, kept))())
 
     subjects = [
         Subject("token.cold", timed(lambda: _verify(token, fresh.trust), before=fresh.renew)),

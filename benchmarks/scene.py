@@ -226,7 +226,7 @@ class Bench(msgspec.Struct, frozen=True):
     def take_in(self) -> None:
         """Let time pass and have a new snapshot verified, before anything is timed."""
         self.machine.look()
-        self.gate.enforcer.intake.refresh()
+        self.gate.enforcer.inputs.refresh()
 
 
 def bench(store: Store, *, trust: Any = None) -> Bench:

@@ -27,7 +27,7 @@ from authguard_r.authoring.keys.setup import demo_members, init_folder
 from authguard_r.core.encoding import Tag
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.token import sign_object
-from authguard_r.estop.connection import start_lane
+from authguard_r.estop.connection import start_stop_process
 from authguard_r.estop.files import EStopFiles
 from authguard_r.estop.run_folder import SOCKET
 from authguard_r.keys.signer import folder_signer
@@ -102,7 +102,7 @@ def _lane(folder: Path) -> Iterator[Path]:
         cert=trust / "keys" / f"gate-{rid}.cert.pem",
         config=token,
     )
-    process = start_lane(files)
+    process = start_stop_process(files)
     assert process is not None
     try:
         yield run

@@ -75,7 +75,7 @@ class Desk:
 
 
 @pytest.fixture
-def desk(capsys: pytest.CaptureFixture[str]) -> Iterator[Desk]:
+def session(capsys: pytest.CaptureFixture[str]) -> Iterator[Desk]:
     with RunningGate(robot=True, estimator=True) as gate:
         yield Desk(gate, capsys)
 
@@ -88,23 +88,26 @@ def quick(capsys: pytest.CaptureFixture[str]) -> Iterator[Desk]:
 
 
 @pytest.mark.smoke
-def test_a_stop_in_mid_motion_then_a_signed_resume(desk: Desk) -> None:
-    token = desk.token()
-    code, said = desk.json("mission", "activate", token, *desk.on)
+def test_a_stop_in_mid_motion_then_a_signed_resume(session: Desk) -> None:
+    token = session.token()
+    code, said = session.json("mission", "activate", token, *session.on)
     assert (code, said["status"]) == (0, "active")  # over the socket: the gate holds the store
-    planner = desk.gate.client(ClientRole.PLANNER, "llm", proof=True)
+    planner = session.gate.client(ClientRole.PLANNER, "llm", proof=True)
     told: list[dict[str, Any]] = []
     moving = threading.Thread(target=lambda: told.append(planner.propose(COLLECT, key="one")))
     moving.start()
-    until(lambda: desk.status()["leases"], "the motion")
-    code, stopped = desk.json("stop", *desk.at, "--why", "a child")
+    until(lambda: session.status()["leases"], "the motion")
+    code, stopped = session.json("stop", *session.at, "--why", "a child")
     assert (code, stopped["stopped"], stopped["controller"]) == (0, True, True)
     moving.join(60)
     assert [step["execution"]["outcome"] for step in told[0]["steps"]] == ["aborted"]
-    assert desk.status()["leases"] == []
-    until(lambda: desk.status()["mission"]["status"] == "suspended", "the suspension")
-    assert desk.json("resume", token, "--trust", desk.gate.trust, *desk.at)[1]["status"] == "active"
-    stops = [record for record in desk.gate.records() if record.kind == "stop"]
+    assert session.status()["leases"] == []
+    until(lambda: session.status()["mission"]["status"] == "suspended", "the suspension")
+    assert (
+        session.json("resume", token, "--trust", session.gate.trust, *session.at)[1]["status"]
+        == "active"
+    )
+    stops = [record for record in session.gate.records() if record.kind == "stop"]
     assert len(stops) == 1
     assert stops[0].sealed["why"] == "a child"
     again = planner.propose(COLLECT, key="one")  # what became of it, not another try
@@ -144,10 +147,10 @@ def test_orders_questions_and_counts_at_a_gate_that_runs(quick: Desk) -> None:
     assert (code, said["error"]["code"]) == (1, "REVOKED")  # as in the process: authentic, refused
 
 
-def test_a_resume_after_a_crash_names_what_has_to_be_resolved_and_how(desk: Desk) -> None:
-    token = desk.token()
-    assert desk("mission", "activate", token, *desk.on)[0] == 0
-    planner = desk.gate.client(ClientRole.PLANNER, "llm")
+def test_a_resume_after_a_crash_names_what_has_to_be_resolved_and_how(session: Desk) -> None:
+    token = session.token()
+    assert session("mission", "activate", token, *session.on)[0] == 0
+    planner = session.gate.client(ClientRole.PLANNER, "llm")
 
     def propose() -> None:
         with suppress(AuthGuardError):
@@ -155,35 +158,35 @@ def test_a_resume_after_a_crash_names_what_has_to_be_resolved_and_how(desk: Desk
 
     moving = threading.Thread(target=propose)
     moving.start()
-    until(lambda: desk.status()["leases"], "the motion")
-    desk.gate.kill9()
+    until(lambda: session.status()["leases"], "the motion")
+    session.gate.kill9()
     moving.join(60)
-    desk.gate.start_gate()
-    held = until(lambda: suspended(desk), "the recovery")
-    until(lambda: "recovery" in [line["event"] for line in journal(desk)], "its line")
-    code, said = desk.json("resume", token, "--trust", desk.gate.trust, *desk.at)
+    session.gate.start_gate()
+    held = until(lambda: suspended(session), "the recovery")
+    until(lambda: "recovery" in [line["event"] for line in journal(session)], "its line")
+    code, said = session.json("resume", token, "--trust", session.gate.trust, *session.at)
     assert (code, said["error"]["code"]) == (1, "TRANSITION_REFUSED")
     (ticket,) = held["open"]
     assert ticket in said["error"]["message"]
     assert "authguard mission resolve" in said["error"]["message"]
     told = ("--ticket", ticket, "--outcome", "aborted")
-    assert desk("mission", "resolve", token, *told, *desk.on)[0] == 0
-    assert desk("resume", token, "--trust", desk.gate.trust, *desk.at)[0] == 0
-    lines = journal(desk)
+    assert session("mission", "resolve", token, *told, *session.on)[0] == 0
+    assert session("resume", token, "--trust", session.gate.trust, *session.at)[0] == 0
+    lines = journal(session)
     starts = [line["unclean"] for line in lines if line["event"] == "start"]
     assert starts == [False, True]
     (settled,) = [line for line in lines if line["event"] == "recovery"]
     assert settled["status"] == "suspended"
 
 
-def suspended(desk: Desk) -> dict[str, Any] | None:
-    mission: dict[str, Any] = desk.status()["mission"]
+def suspended(session: Desk) -> dict[str, Any] | None:
+    mission: dict[str, Any] = session.status()["mission"]
     return mission if mission["status"] == "suspended" else None
 
 
-def journal(desk: Desk) -> list[dict[str, Any]]:
+def journal(session: Desk) -> list[dict[str, Any]]:
     """Return what the gates of this desk wrote to standard error, one after the other."""
-    lines = desk.gate.said().splitlines()
+    lines = session.gate.said().splitlines()
     return [json.loads(line) for line in lines if line.startswith('{"time_ms"')]
 
 
@@ -230,21 +233,23 @@ def test_watch_ends_with_the_gate(quick: Desk) -> None:
     assert told[0][1].splitlines()[-1].endswith("the gate has ended")
 
 
-def watchers(desk: Desk) -> list[dict[str, Any]]:
-    with desk.gate.client(ClientRole.AUDITOR, "looks") as auditor:
+def watchers(session: Desk) -> list[dict[str, Any]]:
+    with session.gate.client(ClientRole.AUDITOR, "looks") as auditor:
         return auditor.status()["clients"]  # type: ignore[no-any-return]
 
 
-def test_status_and_metrics_say_what_the_disk_has_and_who_is_there(desk: Desk) -> None:
-    status = desk.status()
+def test_status_and_metrics_say_what_the_disk_has_and_who_is_there(session: Desk) -> None:
+    status = session.status()
     assert status["disk"]["free_bytes"] > 0
-    assert status["disk"]["reserve_bytes"] == desk.gate.config.reserve_bytes
-    metrics = desk.json("metrics", *desk.at)[1]
+    assert status["disk"]["reserve_bytes"] == session.gate.config.reserve_bytes
+    metrics = session.json("metrics", *session.at)[1]
     assert metrics["controller_connected"] == 1
     assert metrics["heard_age_seconds"]["estimator"] < 60
     assert metrics["disk_free_bytes"] > 0
-    desk.gate.stop_process("robot")
-    until(lambda: not desk.json("metrics", *desk.at)[1]["controller_connected"], "its absence")
+    session.gate.stop_process("robot")
+    until(
+        lambda: not session.json("metrics", *session.at)[1]["controller_connected"], "its absence"
+    )
 
 
 def test_a_refused_order_is_the_error_that_it_is_in_the_process(quick: Desk) -> None:
@@ -312,11 +317,11 @@ def test_a_role_that_the_configuration_does_not_give_is_exit_4(
 ) -> None:
     only = (Peer(uid=os.geteuid(), roles=(ClientRole.AUDITOR,)),)
     with RunningGate(simulate=True, peers=only) as gate:
-        desk = Desk(gate, capsys)
-        code, said = desk.json("status", *desk.at)
+        session = Desk(gate, capsys)
+        code, said = session.json("status", *session.at)
         assert (code, said["error"]["code"]) == (4, "ROLE_DENIED")
-        assert desk("status", *desk.at, "--role", "auditor", "--trust", gate.trust)[0] == 0
-        code, said = desk.json("mission", "activate", desk.token(), *desk.on)
+        assert session("status", *session.at, "--role", "auditor", "--trust", gate.trust)[0] == 0
+        code, said = session.json("mission", "activate", session.token(), *session.on)
         assert (code, said["error"]["code"]) == (4, "ROLE_DENIED")
         auditor = gate.client(ClientRole.AUDITOR)
         with pytest.raises(AuthenticityError):
@@ -352,19 +357,19 @@ def _fits(gate: RunningGate) -> bool:
     return True
 
 
-def test_a_second_proposal_at_once_is_busy_and_the_first_goes_on(desk: Desk) -> None:
-    desk.gate.activate()
+def test_a_second_proposal_at_once_is_busy_and_the_first_goes_on(session: Desk) -> None:
+    session.gate.activate()
 
     async def both() -> tuple[BaseException | dict[str, Any], dict[str, Any]]:
         connecting = AsyncGateClient.connect(
-            desk.gate.socket, role=ClientRole.PLANNER, timeout_ms=PATIENT_MS
+            session.gate.socket, role=ClientRole.PLANNER, timeout_ms=PATIENT_MS
         )
         async with await connecting as planner:
             begun = asyncio.Event()
             first = asyncio.create_task(planner.propose(COLLECT, on_step=lambda _: begun.set()))
             await begun.wait()
             second = (await asyncio.gather(planner.propose(WRONG), return_exceptions=True))[0]
-            lane = await AsyncGateClient.connect(desk.gate.stop_socket, role=ClientRole.PLANNER)
+            lane = await AsyncGateClient.connect(session.gate.stop_socket, role=ClientRole.PLANNER)
             async with lane:
                 assert (await lane.stop("enough"))["stopped"] is True
             return second, await first

@@ -97,7 +97,7 @@ class Desk:
 
 
 @pytest.fixture
-def desk(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any) -> Desk:
+def session(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any) -> Desk:
     monkeypatch.chdir(tmp_path)
     shutil.copytree(scenarios.trust_folder(), tmp_path / "trust")
     for path in (tmp_path / "trust" / "keys").glob(f"*{scenarios.OTHER}*"):
@@ -108,46 +108,48 @@ def desk(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any) -
 # verify
 
 
-def test_a_checkpoint_in_the_file_says_nothing_until_a_key_is_named(desk: Desk) -> None:
-    for name in (desk.export(ROWS, desk.note), desk.store(ROWS, desk.note)):
-        code, told = desk.json("audit", "verify", name)
+def test_a_checkpoint_in_the_file_says_nothing_until_a_key_is_named(session: Desk) -> None:
+    for name in (session.export(ROWS, session.note), session.store(ROWS, session.note)):
+        code, told = session.json("audit", "verify", name)
         assert (code, told["anchored"], told["anchored_size"]) == (0, "unanchored", 0)
         assert told["not_verified"] == ["no key was named"]
-        code, text = desk("audit", "verify", name)
+        code, text = session("audit", "verify", name)
         assert "not verified: no key was named" in text
         assert "nothing outside says" in text
-        code, told = desk.json("audit", "verify", name, "--key", desk.key)
+        code, told = session.json("audit", "verify", name, "--key", session.key)
         assert (code, told["anchored"], told["anchored_size"]) == (0, "checkpoint", SIZE)
         assert (told["told_by"], told["fault"], told["where"]) == (None, "", "")
-        code, text = desk("audit", "verify", name, "--trust", "trust")
+        code, text = session("audit", "verify", name, "--trust", "trust")
         assert (code, f"anchored: checkpoint, {SIZE} of {SIZE} records" in text) == (0, True)
         assert "the file's own" in text
 
 
-def test_a_checkpoint_that_was_kept_elsewhere_shows_that_the_end_is_gone(desk: Desk) -> None:
-    kept = desk.keep(desk.note)
-    cut = desk.export(ROWS[:6], desk.signed(ROWS[:6]))
-    assert desk.json("audit", "verify", cut, "--key", desk.key)[0] == 0
-    code, told = desk.json("audit", "verify", cut, "--key", desk.key, "--checkpoint", kept)
+def test_a_checkpoint_that_was_kept_elsewhere_shows_that_the_end_is_gone(session: Desk) -> None:
+    kept = session.keep(session.note)
+    cut = session.export(ROWS[:6], session.signed(ROWS[:6]))
+    assert session.json("audit", "verify", cut, "--key", session.key)[0] == 0
+    code, told = session.json("audit", "verify", cut, "--key", session.key, "--checkpoint", kept)
     assert (code, told["whole"], told["where"]) == (1, False, "record 6")
-    whole = desk("audit", "verify", desk.store(ROWS, None), "--key", desk.key, "--checkpoint", kept)
+    whole = session(
+        "audit", "verify", session.store(ROWS, None), "--key", session.key, "--checkpoint", kept
+    )
     assert (whole[0], "the file's own" in whole[1]) == (0, False)
-    early = desk.keep(desk.signed(ROWS[:3]), "early.note")
-    given = ("--key", desk.key, "--checkpoint", early, "--checkpoint", kept)
-    code, told = desk.json("audit", "verify", desk.export(ROWS, None), *given)
+    early = session.keep(session.signed(ROWS[:3]), "early.note")
+    given = ("--key", session.key, "--checkpoint", early, "--checkpoint", kept)
+    code, told = session.json("audit", "verify", session.export(ROWS, None), *given)
     assert (code, told["anchors"]) == (0, [["checkpoint", 3], ["checkpoint", SIZE]])
-    code, told = desk.json("audit", "verify", desk.export(ROWS, None), "--checkpoint", kept)
+    code, told = session.json("audit", "verify", session.export(ROWS, None), "--checkpoint", kept)
     assert (code, told["error"]["where"]) == (5, "--key")
 
 
-def test_a_log_that_is_not_whole_says_what_it_was_held_to(desk: Desk) -> None:
+def test_a_log_that_is_not_whole_says_what_it_was_held_to(session: Desk) -> None:
     own = generate(Algorithm.ED25519)
     witness = witness_key("w.example", own.public_key())
-    cosigned = cosign(desk.note.text, witness.name, own, AT)
-    kept = desk.keep(Note(desk.note.text, (*desk.note.signatures, cosigned)))
+    cosigned = cosign(session.note.text, witness.name, own, AT)
+    kept = session.keep(Note(session.note.text, (*session.note.signatures, cosigned)))
     said = Terminal(log=ROBOT, size=5, head=Digest(b64(ROWS[4].link)), time_ms=AT * 1_000)
-    Path("terminal").write_bytes(sign_object(said, Tag.CHECKPOINT, desk.signer))
-    key, at = ("--key", desk.key), ("--checkpoint", kept)
+    Path("terminal").write_bytes(sign_object(said, Tag.CHECKPOINT, session.signer))
+    key, at = ("--key", session.key), ("--checkpoint", kept)
     claimed = f"a checkpoint in its file, signed by no key that was named, of {SIZE} records"
     plain, quorum = f"a checkpoint of {SIZE} records", ("--witness", witness.text())
     cosigned_too = f"a checkpoint, cosigned by enough witnesses, of {SIZE} records"
@@ -157,8 +159,8 @@ def test_a_log_that_is_not_whole_says_what_it_was_held_to(desk: Desk) -> None:
     changed = [*ROWS[:2], edited(ROWS[2], open={}), *ROWS[3:]]
     cases = (
         (None, (), [], ["nothing outside of it"]),
-        (desk.note, (), [["claimed", SIZE]], [claimed]),
-        (desk.note, key, [checkpoint], [plain]),
+        (session.note, (), [["claimed", SIZE]], [claimed]),
+        (session.note, key, [checkpoint], [plain]),
         (None, (*key, *at), [checkpoint], [plain]),
         (None, (*key, *at, *quorum), [vouched], [cosigned_too]),
         (None, both, [["signed-terminal", 5], checkpoint], [digest, plain]),
@@ -169,91 +171,91 @@ def test_a_log_that_is_not_whole_says_what_it_was_held_to(desk: Desk) -> None:
         (changed, "record 2", cases),
     ):
         for note, given, told_of, words in asked:
-            name = desk.export(rows, note)
-            code, told = desk.json("audit", "verify", name, *given)
+            name = session.export(rows, note)
+            code, told = session.json("audit", "verify", name, *given)
             assert (code, told["where"], told["held_to"]) == (1, where, told_of)
             assert told["anchored"] == "unanchored"  # what it was held to vouches for none of it
-            code, text = desk("audit", "verify", name, *given)
+            code, text = session("audit", "verify", name, *given)
             first, *rest = text.splitlines()
             assert (code, first.startswith(f"NOT WHOLE at {where}: ")) == (1, True)
             assert rest == [f"  held to {word}" for word in words]
-    whole = desk.json("audit", "verify", desk.export(ROWS, None), *both)[1]
+    whole = session.json("audit", "verify", session.export(ROWS, None), *both)[1]
     assert whole["held_to"] == whole["anchors"] == [["signed-terminal", 5], checkpoint]
-    assert "held to" not in desk("audit", "verify", "log.jsonl", *both)[1]
+    assert "held to" not in session("audit", "verify", "log.jsonl", *both)[1]
 
 
-def test_a_key_that_signed_nothing_here_is_not_authentic(desk: Desk) -> None:
+def test_a_key_that_signed_nothing_here_is_not_authentic(session: Desk) -> None:
     own = generate(Algorithm.ED25519)
     other = log_key(checkpoint_of(ROWS).origin, own.public_key()).text()
-    code, told = desk.json("audit", "verify", desk.export(ROWS, desk.note), "--key", other)
+    code, told = session.json("audit", "verify", session.export(ROWS, session.note), "--key", other)
     assert (code, told["error"]["code"]) == (4, "SIGNATURE_MISSING")
-    for given in (("--key", desk.key), ("--trust", "trust")):
-        code, told = desk.json("audit", "verify", desk.export(ROWS, None), *given)
+    for given in (("--key", session.key), ("--trust", "trust")):
+        code, told = session.json("audit", "verify", session.export(ROWS, None), *given)
         assert (code, told["error"]["code"]) == (4, "SIGNATURE_MISSING")
-    (line,) = desk.note.signatures
+    (line,) = session.note.signatures
     turned = NoteSignature(line.name, line.key_id, bytes(64))
-    forged = desk.export(ROWS, Note(desk.note.text, (turned,)))
-    code, told = desk.json("audit", "verify", forged, "--key", desk.key)
+    forged = session.export(ROWS, Note(session.note.text, (turned,)))
+    code, told = session.json("audit", "verify", forged, "--key", session.key)
     assert (code, told["error"]["code"]) == (4, "SIGNATURE_INVALID")
-    assert desk.json("audit", "verify", forged, "--key", "no key")[0] == 4
+    assert session.json("audit", "verify", forged, "--key", "no key")[0] == 4
 
 
-def test_the_checkpoint_of_another_log_is_not_this_ones(desk: Desk) -> None:
+def test_the_checkpoint_of_another_log_is_not_this_ones(session: Desk) -> None:
     for origin in ("authguard-r/lifter-1/audit", "example.com/log", "authguard-r/../audit"):
-        text = desk.note.text.replace(checkpoint_of(ROWS).origin, origin)
-        note = Note(text, sign_text(text, origin, desk.signer))
-        name = desk.export(ROWS, note)
-        code, told = desk.json("audit", "verify", name, "--key", desk.key)
+        text = session.note.text.replace(checkpoint_of(ROWS).origin, origin)
+        note = Note(text, sign_text(text, origin, session.signer))
+        name = session.export(ROWS, note)
+        code, told = session.json("audit", "verify", name, "--key", session.key)
         assert (code, told["error"]["code"]) == (4, "SIGNATURE_MISSING")
-        assert desk.json("audit", "verify", name, "--trust", "trust")[0] in {4, 5}
+        assert session.json("audit", "verify", name, "--trust", "trust")[0] in {4, 5}
 
 
-def test_a_trust_folder_without_the_gates_certificate_needs_a_key(desk: Desk) -> None:
-    desk.gate("cert")[0].rename("gate.pem")
-    name = desk.export(ROWS, desk.note)
-    assert desk.json("audit", "verify", name, "--trust", "trust")[0] == 5
-    code, told = desk.json(
+def test_a_trust_folder_without_the_gates_certificate_needs_a_key(session: Desk) -> None:
+    session.gate("cert")[0].rename("gate.pem")
+    name = session.export(ROWS, session.note)
+    assert session.json("audit", "verify", name, "--trust", "trust")[0] == 5
+    code, told = session.json(
         "audit", "key", "--trust", "trust", "--robot", ROBOT, "--cert", "gate.pem"
     )
-    assert (code, told) == (0, {"robot": ROBOT, "keys": [desk.key]})
-    assert desk.json("audit", "verify", name, "--trust", "trust", "--key", desk.key)[0] == 0
-    assert desk.json("audit", "key", "--trust", "trust", "--robot", ROBOT)[0] == 5
+    assert (code, told) == (0, {"robot": ROBOT, "keys": [session.key]})
+    assert session.json("audit", "verify", name, "--trust", "trust", "--key", session.key)[0] == 0
+    assert session.json("audit", "key", "--trust", "trust", "--robot", ROBOT)[0] == 5
 
 
-def test_witnesses_are_counted_by_their_keys(desk: Desk) -> None:
+def test_witnesses_are_counted_by_their_keys(session: Desk) -> None:
     own = [generate(Algorithm.ED25519) for _ in range(3)]
     keys = [witness_key(f"w{n}.example", key.public_key()) for n, key in enumerate(own)]
-    text = desk.note.text
+    text = session.note.text
     lines = [cosign(text, key.name, held, AT) for key, held in zip(keys, own, strict=True)]
-    name = desk.export(ROWS, Note(text, (*desk.note.signatures, *lines[:2])))
-    given = ["--key", desk.key]
+    name = session.export(ROWS, Note(text, (*session.note.signatures, *lines[:2])))
+    given = ["--key", session.key]
     for key in keys:
         given += ["--witness", key.text()]
-    code, told = desk.json("audit", "verify", name, *given, "--quorum", "2")
+    code, told = session.json("audit", "verify", name, *given, "--quorum", "2")
     assert (code, told["anchored"]) == (0, "witnessed")
     assert told["cosigned"] == [
         {"witness": "w0.example", "time_s": AT},
         {"witness": "w1.example", "time_s": AT},
     ]
-    assert "cosigned by w0.example at 2025-" in desk("audit", "verify", name, *given[:6])[1]
-    code, told = desk.json("audit", "verify", name, *given)  # all three
+    assert "cosigned by w0.example at 2025-" in session("audit", "verify", name, *given[:6])[1]
+    code, told = session.json("audit", "verify", name, *given)  # all three
     assert (code, told["error"]["code"]) == (4, "SIGNATURE_MISSING")
-    assert desk.json("audit", "verify", name, *given, "--quorum", "4")[0] == 2
-    assert desk.json("audit", "verify", name, *given, "--quorum", "0")[0] == 2
+    assert session.json("audit", "verify", name, *given, "--quorum", "4")[0] == 2
+    assert session.json("audit", "verify", name, *given, "--quorum", "0")[0] == 2
     # one key under two names is one witness
     twin = witness_key("twin.example", own[0].public_key())
     twice = (lines[0], cosign(text, twin.name, own[0], AT))
-    name = desk.export(ROWS, Note(text, (*desk.note.signatures, *twice)))
-    pair = ["--key", desk.key, "--witness", keys[0].text(), "--witness", twin.text()]
-    assert desk.json("audit", "verify", name, *pair)[0] == 4
-    assert desk.json("audit", "verify", name, *pair, "--quorum", "1")[0] == 0
+    name = session.export(ROWS, Note(text, (*session.note.signatures, *twice)))
+    pair = ["--key", session.key, "--witness", keys[0].text(), "--witness", twin.text()]
+    assert session.json("audit", "verify", name, *pair)[0] == 4
+    assert session.json("audit", "verify", name, *pair, "--quorum", "1")[0] == 0
     # a log's own key is no witness, whatever it is called
-    assert desk.json("audit", "verify", name, *given[:2], "--witness", desk.key)[0] == 4
+    assert session.json("audit", "verify", name, *given[:2], "--witness", session.key)[0] == 4
 
 
-def test_what_is_no_export_is_unreadable(desk: Desk) -> None:
+def test_what_is_no_export_is_unreadable(session: Desk) -> None:
     good = row_line(ROWS[0])
-    last = note_line(desk.note.encode())
+    last = note_line(session.note.encode())
     doubled = good.removesuffix(b"}\n") + b',"seq":0}\n'
     for text in (
         *(b"{", b"{}\n", b'{"seq":0}\n', good + b"\xff\n", good + b"\n", doubled, last + good),
@@ -262,16 +264,16 @@ def test_what_is_no_export_is_unreadable(desk: Desk) -> None:
         b"{" + b" " * MAX_LINE + good,
     ):
         Path("junk.jsonl").write_bytes(text)
-        code, told = desk.json("audit", "verify", "junk.jsonl")
+        code, told = session.json("audit", "verify", "junk.jsonl")
         assert (code, told["error"]["code"] != "INTERNAL_FAULT") == (4, True), text[:60]
     Path("empty.jsonl").write_bytes(b"")
-    assert desk.json("audit", "verify", "empty.jsonl")[0] == 4
+    assert session.json("audit", "verify", "empty.jsonl")[0] == 4
 
 
-def test_an_export_that_is_spelled_in_another_way_is_read(desk: Desk) -> None:
+def test_an_export_that_is_spelled_in_another_way_is_read(session: Desk) -> None:
     lines = [json.dumps(json.loads(row_line(row))) for row in ROWS]
     Path("loose.jsonl").write_text("\n".join(lines))
-    assert desk.json("audit", "verify", "loose.jsonl")[1]["whole"]
+    assert session.json("audit", "verify", "loose.jsonl")[1]["whole"]
 
 
 # by several processes
@@ -293,39 +295,39 @@ def soon(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 def test_any_number_of_processes_tells_the_same_of_a_store_and_an_export(
-    desk: Desk, soon: list[int]
+    session: Desk, soon: list[int]
 ) -> None:
     rows = log_of(200)
     bad = [*rows[:170], edited(rows[170], open={}), *rows[171:]]
-    note = desk.signed(rows)
+    note = session.signed(rows)
     for number, given in enumerate((rows, bad, rows[:90])):
-        for name in (desk.export(given, note), desk.store(given, note, f"{number}.db")):
+        for name in (session.export(given, note), session.store(given, note, f"{number}.db")):
             told = [
-                desk.json("audit", "verify", name, "--key", desk.key, "--jobs", jobs)
+                session.json("audit", "verify", name, "--key", session.key, "--jobs", jobs)
                 for jobs in "123"
             ]
             assert told[0] == told[1] == told[2]
             assert (told[0][0], told[0][1]["whole"]) == ((0, True) if given is rows else (1, False))
     assert set(soon) == {1, 2, 3}
-    (desk.folder / "cut.jsonl").write_bytes((desk.folder / "log.jsonl").read_bytes()[:-900])
-    told = [desk.json("audit", "verify", "cut.jsonl", "--jobs", jobs) for jobs in "123"]
+    (session.folder / "cut.jsonl").write_bytes((session.folder / "log.jsonl").read_bytes()[:-900])
+    told = [session.json("audit", "verify", "cut.jsonl", "--jobs", jobs) for jobs in "123"]
     assert told[0] == told[1] == told[2]
     assert told[0][0] == 4
 
 
 def test_without_being_asked_there_are_as_many_as_processors(
-    desk: Desk, soon: list[int], monkeypatch: pytest.MonkeyPatch
+    session: Desk, soon: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(log_verify, "usable_jobs", lambda: 2)
-    assert desk("audit", "verify", desk.export(ROWS, None))[0] == 0
+    assert session("audit", "verify", session.export(ROWS, None))[0] == 0
     assert soon == [2]
     for jobs in ("0", "-1", "65", "many"):
-        assert desk.json("audit", "verify", "log.jsonl", "--jobs", jobs)[0] == 2
+        assert session.json("audit", "verify", "log.jsonl", "--jobs", jobs)[0] == 2
     assert soon == [2]
 
 
 def test_beside_a_gate_that_tells_its_log_no_process_is_started(
-    desk: Desk, soon: list[int], monkeypatch: pytest.MonkeyPatch
+    session: Desk, soon: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     gate = GateAddress(pid=7, robot=ROBOT, socket="gate.sock")
 
@@ -334,12 +336,12 @@ def test_beside_a_gate_that_tells_its_log_no_process_is_started(
         yield ReadableLog(iter(ROWS), gate)
 
     monkeypatch.setattr(log_verify, "reading", told)
-    assert desk("audit", "verify", "robot.db", "--jobs", "4")[0] == 0
+    assert session("audit", "verify", "robot.db", "--jobs", "4")[0] == 0
     assert soon == [1]
 
 
 def test_a_process_that_is_killed_is_said_and_the_log_is_not_called_whole(
-    desk: Desk, soon: list[int], monkeypatch: pytest.MonkeyPatch
+    session: Desk, soon: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     real = parallel._Helper
 
@@ -350,44 +352,46 @@ def test_a_process_that_is_killed_is_said_and_the_log_is_not_called_whole(
             os.waitid(os.P_PID, self.process.pid, os.WEXITED | os.WNOWAIT)
 
     monkeypatch.setattr(parallel, "_Helper", Killed)
-    name = desk.export(ROWS, None)
-    code, text = desk("audit", "verify", name, "--jobs", "2")
+    name = session.export(ROWS, None)
+    code, text = session("audit", "verify", name, "--jobs", "2")
     assert code == 5
     assert text.startswith("INTERNAL_FAULT: not verified: a process that helped ended (code -9)")
-    code, told = desk.json("audit", "verify", name, "--jobs", "2")
+    code, told = session.json("audit", "verify", name, "--jobs", "2")
     assert (code, set(told)) == (5, {"error"})
 
 
 # export
 
 
-def test_an_export_is_the_store_and_is_exported_to_itself(desk: Desk) -> None:
-    store = desk.store(ROWS, desk.note)
-    assert desk.json("audit", "export", store, "--out", "a.jsonl") == (
+def test_an_export_is_the_store_and_is_exported_to_itself(session: Desk) -> None:
+    store = session.store(ROWS, session.note)
+    assert session.json("audit", "export", store, "--out", "a.jsonl") == (
         0,
         {"file": "a.jsonl", "lines": SIZE + 1},
     )
-    assert Path("a.jsonl").read_bytes() == Path(desk.export(ROWS, desk.note)).read_bytes()
+    assert Path("a.jsonl").read_bytes() == Path(session.export(ROWS, session.note)).read_bytes()
     assert Path("a.jsonl").stat().st_mode & 0o777 == 0o600
     for line in Path("a.jsonl").read_bytes().splitlines():
         assert encode(json.loads(line)) == line
-    assert desk("audit", "export", "a.jsonl", "--out", "b.jsonl")[0] == 0
+    assert session("audit", "export", "a.jsonl", "--out", "b.jsonl")[0] == 0
     assert Path("b.jsonl").read_bytes() == Path("a.jsonl").read_bytes()
-    code, told = desk.json("audit", "export", store, "--out", "a.jsonl")
+    code, told = session.json("audit", "export", store, "--out", "a.jsonl")
     assert (code, told["error"]["where"]) == (5, "--out")
-    assert desk.json("audit", "export", store)[0] == 2
-    assert desk("audit", "export", "none.db")[0] == 4
+    assert session.json("audit", "export", store)[0] == 2
+    assert session("audit", "export", "none.db")[0] == 4
 
 
-def test_an_export_goes_to_standard_output(desk: Desk, monkeypatch: Any) -> None:
+def test_an_export_goes_to_standard_output(session: Desk, monkeypatch: Any) -> None:
     raw = io.BytesIO()
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(raw, encoding="utf-8"))
-    assert call(["audit", "export", desk.store(ROWS, None)]) == 0
-    assert raw.getvalue() == Path(desk.export(ROWS, None)).read_bytes()
+    assert call(["audit", "export", session.store(ROWS, None)]) == 0
+    assert raw.getvalue() == Path(session.export(ROWS, None)).read_bytes()
 
 
-def test_a_table_has_a_line_for_each_record(desk: Desk) -> None:
-    code, _ = desk("audit", "export", desk.store(ROWS, desk.note), "--format", "csv", "--out", "t")
+def test_a_table_has_a_line_for_each_record(session: Desk) -> None:
+    code, _ = session(
+        "audit", "export", session.store(ROWS, session.note), "--format", "csv", "--out", "t"
+    )
     assert code == 0
     with Path("t").open(newline="", encoding="utf-8") as file:
         head, *lines = csv.reader(file)
@@ -417,6 +421,6 @@ def test_a_damaged_store_is_not_exported_as_if_it_were_text() -> None:
         note_line(b"\xff")
 
 
-def test_a_note_reads_back_from_an_export(desk: Desk) -> None:
-    line = Path(desk.export(ROWS, desk.note)).read_bytes().splitlines()[-1]
-    assert read_note(json.loads(line)["checkpoint"].encode(), where="") == desk.note
+def test_a_note_reads_back_from_an_export(session: Desk) -> None:
+    line = Path(session.export(ROWS, session.note)).read_bytes().splitlines()[-1]
+    assert read_note(json.loads(line)["checkpoint"].encode(), where="") == session.note

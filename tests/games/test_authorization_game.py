@@ -118,7 +118,7 @@ def mission_by(name: str) -> Mission:
 
 def snapshot(sim: Simulation) -> Any:
     """Return what an estimator would sign next."""
-    seen = sim.gate.enforcer.intake.newest
+    seen = sim.gate.enforcer.inputs.newest
     assert seen is not None
     return msgspec.structs.replace(seen.snapshot, seq=seen.snapshot.seq + 1)
 
@@ -155,9 +155,9 @@ def command(verb: Verb) -> Callable[[Simulation], Command]:
 def sensed(sim: Simulation, token: bytes) -> None:
     """Hand a snapshot in on the estimator's channel; raise why the gate does not take it in."""
     sim.robot.latest = lambda: token  # type: ignore[method-assign]
-    sim.gate.enforcer.intake.refresh()
-    if sim.gate.enforcer.intake.fault is not None:
-        raise sim.gate.enforcer.intake.fault
+    sim.gate.enforcer.inputs.refresh()
+    if sim.gate.enforcer.inputs.fault is not None:
+        raise sim.gate.enforcer.inputs.fault
 
 
 PEOPLE = {Role.OPERATOR, Role.SUPERVISOR, Role.SAFETY_OFFICER}
@@ -232,8 +232,8 @@ def test_nothing_is_taken_in_that_a_role_may_not_sign(kind: str) -> None:
     tag, said, roles, hand_in = SIGNED[kind]
     sim = scenarios.simulation()
     standing = sim.gate.management.activate(scenarios.token())
-    sim.gate.enforcer.intake.refresh()
-    state = sim.gate.enforcer.intake.newest
+    sim.gate.enforcer.inputs.refresh()
+    state = sim.gate.enforcer.inputs.newest
     rows = sim.gate.ledger.store.rows  # type: ignore[attr-defined]
     before, denied = len(rows()), [role for role in Role if role not in roles]
     for role in denied:
@@ -241,7 +241,7 @@ def test_nothing_is_taken_in_that_a_role_may_not_sign(kind: str) -> None:
             hand_in(sim, sign_object(said(sim), tag, principal(role)))
         assert caught.value.reason is Reason.ROLE_DENIED
         assert sim.gate.management.standing("deliver-p1") == standing
-        assert sim.gate.enforcer.intake.newest is state
+        assert sim.gate.enforcer.inputs.newest is state
     told = [read_record(row.record, where="").open["reasons"] for row in rows()[before:]]
     assert told == [["ROLE_DENIED"]] * len(denied)
     assert sim.robot.trace == []

@@ -31,7 +31,7 @@ from authguard_r.core.token import sign_object
 from authguard_r.enforcement.report import Report
 from authguard_r.enforcement.signed_orders import Command, StoreClaim, Verb
 from authguard_r.server import proposals as proposals_module
-from authguard_r.server.proposals import Keeper, ProposalRecord, ProposalRegistry
+from authguard_r.server.proposals import CommitRecorder, ProposalRecord, ProposalRegistry
 from authguard_r.store.memory import MemoryStore
 from authguard_r.store.transactions import Ledger, Transaction
 from authguard_r.wire.disclosure import Disclosure
@@ -186,7 +186,7 @@ class Replayer:
 
     def sees(self) -> None:
         """Keep the estimator's newest word, after the gate has had it."""
-        self.here.gate.enforcer.intake.refresh()
+        self.here.gate.enforcer.inputs.refresh()
         seen = self.here.robot.latest()
         assert seen is not None
         self.kept.append(("snapshot", seen))
@@ -200,7 +200,7 @@ class Replayer:
         """Propose under a key of its own; what was used up is kept to be proposed again."""
         key = f"k{len(self.keys)}"
         before = ProposalRecord(evidence=EVIDENCE, planned=1, steps=())
-        begun = self.here.submit(action, keep=Keeper(CLIENT, key, before))
+        begun = self.here.submit(action, on_commit=CommitRecorder(CLIENT, key, before))
         if isinstance(begun, Report):
             return str(begun.judged.decision.reasons[0])  # type: ignore[union-attr]
         self.keys.append(key)
@@ -212,7 +212,7 @@ class Replayer:
         assert self.does(action) == "APPROVAL_REQUIRED"
         standing = self.here.standing("deliver-p1")
         assert standing is not None
-        verified = self.here.gate.ledger.run(self.here.gate.enforcer.intake.active_mission)
+        verified = self.here.gate.ledger.run(self.here.gate.enforcer.inputs.active_mission)
         ((grant, request),) = standing.requests.items()
         value = answer(verified, grant, request, rid=scenarios.RID, verdict=ApprovalVerdict.APPROVE)
         self.first("approval", sign_object(value, Tag.APPROVAL, signer("supervisor-1")))
@@ -264,22 +264,22 @@ class Replayer:
 
     def _state_again(self, token: bytes) -> str:
         """Hand an old snapshot in for the newest; the one that the gate has stays."""
-        intake, robot = self.here.gate.enforcer.intake, self.here.robot
-        intake.refresh()
-        held, own = intake.newest, robot._token
+        inputs, robot = self.here.gate.enforcer.inputs, self.here.robot
+        inputs.refresh()
+        held, own = inputs.newest, robot._token
         robot._token = token
         try:
-            intake.refresh()
-            same = token == intake._held and intake.newest is held
-            return "STATE_REPLAYED" if same or self._stale(intake, held) else ""
+            inputs.refresh()
+            same = token == inputs._held and inputs.newest is held
+            return "STATE_REPLAYED" if same or self._stale(inputs, held) else ""
         finally:
             robot._token = own
             robot.pause(100)
 
     @staticmethod
-    def _stale(intake: Any, held: Any) -> bool:
-        fault = intake.fault
-        return intake.newest is held and fault is not None and fault.reason == "STATE_REPLAYED"
+    def _stale(inputs: Any, held: Any) -> bool:
+        fault = inputs.fault
+        return inputs.newest is held and fault is not None and fault.reason == "STATE_REPLAYED"
 
     def _keys_again(self) -> list[str]:
         """Ask with every key again: the same answer, nothing decided; another plan is refused."""

@@ -352,7 +352,7 @@ def test_a_mission_s_verified_issuer_says_what_its_certificate_names(folder: Pat
     by = certified(folder, Role.OPERATOR, ("courier-1",), REGIONS)
     sim = gate(folder)
     sim.gate.management.activate(sign(folder, scenarios.mission(issuer=by), Tag.MISSION, by))
-    verified = sim.gate.ledger.run(sim.gate.enforcer.intake.active_mission)
+    verified = sim.gate.ledger.run(sim.gate.enforcer.inputs.active_mission)
     assert verified.issuer.scope.robots == frozenset({"courier-1"})
     assert verified.issuer.scope.regions == frozenset(REGIONS)
     narrow = msgspec.structs.replace(verified.issuer.scope, regions=frozenset())

@@ -460,14 +460,14 @@ def test_a_mission_ends_with_the_scheduler_s_certificate_too() -> None:
     sim = templates.admitted(at)
     standing = sim.gate.management.activate(token(by="brief", at=at))
     mission = sim.gate.ledger.run(
-        lambda act: sim.gate.enforcer.intake.mission(act, standing.digest)
+        lambda act: sim.gate.enforcer.inputs.mission(act, standing.digest)
     )
     assert mission.issuer.id == "operator-1"
     assert mission.issuer.usable_until_ms == scenarios.START_MS + 86_400_000
 
 
 def restarted(sim: Simulation) -> Simulation:
-    sim.gate.enforcer.intake.forget()  # what a new process would have: nothing verified
+    sim.gate.enforcer.inputs.forget()  # what a new process would have: nothing verified
     return sim
 
 
@@ -550,7 +550,7 @@ def test_the_operator_may_change_a_running_instance_by_its_own_signature() -> No
     """An instance is a mission: version 2 of it is the issuer's to sign, not the scheduler's."""
     sim = templates.admitted()
     standing = sim.gate.management.activate(token())
-    made = sim.gate.ledger.run(lambda act: sim.gate.enforcer.intake.mission(act, standing.digest))
+    made = sim.gate.ledger.run(lambda act: sim.gate.enforcer.inputs.mission(act, standing.digest))
     second = SET(made.mission, version=2, supersedes=standing.digest, nonce=b64(bytes(16)))
     assert sim.gate.management.activate(scenarios.token(second)).version == 2
     third = token(instance(1, nonce="C" * 22))
@@ -565,7 +565,7 @@ def test_a_scheduler_cannot_fill_the_memory_with_missions_that_are_refused() -> 
     for number in range(2, 40):
         with pytest.raises(AuthGuardError):
             sim.gate.management.activate(token(instance(number)))
-    assert len(sim.gate.enforcer.intake._verified) <= 16
+    assert len(sim.gate.enforcer.inputs._verified) <= 16
 
 
 def test_the_endorsements_of_an_instance_are_at_least_one() -> None:

@@ -703,7 +703,7 @@ def test_a_guard_that_breaks_down_lets_nobody_wait_for_ever(
         guard.register("scan", lambda: (robot.made("scan"), robot.go.wait()))
         asked = pool.submit(guard.call, "scan", {})
         until(robot.calls, "the call")
-        monkeypatch.setattr(guard._ends._driver.desk, "tick", broken)
+        monkeypatch.setattr(guard._ends._driver.session, "tick", broken)
         with pytest.raises((EnvironmentFault, Failed)):
             asked.result()
         until(lambda: not guard._background._thread.is_alive(), "the thread's end")

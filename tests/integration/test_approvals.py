@@ -879,7 +879,7 @@ def test_the_record_of_an_asking_decision_names_its_request(bench: Bench) -> Non
 def test_an_answer_of_the_library_is_the_one_that_the_core_knows(bench: Bench) -> None:
     scene = approvals.scene(bench, "isolation-room")
     approvals.outcome(scene)
-    verified = scene.sim.gate.ledger.run(scene.sim.gate.enforcer.intake.active_mission)
+    verified = scene.sim.gate.ledger.run(scene.sim.gate.enforcer.inputs.active_mission)
     ((grant, request),) = approvals.requests(scene).items()
     made = answer(
         verified, grant, request, rid=scene.sim.robot.rid, verdict=ApprovalVerdict.APPROVE
@@ -917,7 +917,7 @@ def test_who_fills_a_template_or_signed_it_has_no_second_name() -> None:
     standing = sim.gate.ledger.standing(filled.mid)
     assert standing is not None
     ((grant, request),) = standing.requests.items()
-    verified = sim.gate.ledger.run(sim.gate.enforcer.intake.active_mission)
+    verified = sim.gate.ledger.run(sim.gate.enforcer.inputs.active_mission)
     value = answer(verified, grant, request, rid=scenarios.RID, verdict=ApprovalVerdict.APPROVE)
     for holder in ("scheduler-0", "operator-1"):
         (key,) = open_key_file(folder / "keys" / f"{holder}.key.pem")

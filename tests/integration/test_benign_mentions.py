@@ -87,10 +87,10 @@ def _hurry(robot: Any) -> None:
     dispatch = robot.dispatch
 
     def dispatched(action: Any, lease: Any) -> Any:
-        flight = dispatch(action, lease)
-        while flight.outcome() is None:
+        handle = dispatch(action, lease)
+        while handle.outcome() is None:
             robot.pause(1_000)
-        return flight
+        return handle
 
     robot.dispatch = dispatched
 

@@ -140,8 +140,8 @@ def test_a_controller_that_does_not_begin_gives_the_start_back() -> None:
 
 def test_state_that_turns_bad_between_commit_and_dispatch_is_not_started() -> None:
     sim = ready()
-    intake = sim.gate.enforcer.intake
-    first = intake.refresh
+    inputs = sim.gate.enforcer.inputs
+    first = inputs.refresh
     calls = []
 
     def refresh() -> Any:
@@ -151,7 +151,7 @@ def test_state_that_turns_bad_between_commit_and_dispatch_is_not_started() -> No
             sim.robot.pause(50)
         return first()
 
-    intake.refresh = refresh
+    inputs.refresh = refresh
     report = scenarios.propose(sim, GO)
     assert report.outcome is Outcome.NOT_STARTED
     assert sim.robot.trace == []
@@ -182,12 +182,12 @@ def bad_states(sim: Any) -> dict[str, tuple[bytes, str]]:
 def test_a_snapshot_that_is_not_the_estimators_is_recorded_and_not_taken_in(kind: str) -> None:
     sim = ready()
     sim.robot.pause(100)
-    sim.gate.enforcer.intake.refresh()
-    before = sim.gate.enforcer.intake.newest
+    sim.gate.enforcer.inputs.refresh()
+    before = sim.gate.enforcer.inputs.newest
     data, reason = bad_states(sim)[kind]
     sim.robot.latest = lambda: data
-    sim.gate.enforcer.intake.refresh()
-    assert sim.gate.enforcer.intake.newest is before
+    sim.gate.enforcer.inputs.refresh()
+    assert sim.gate.enforcer.inputs.newest is before
     assert [r.open["reasons"] for r in records(sim, "intake")] == [[reason]]
     sim.robot.pause(5_000)
     report = scenarios.propose(sim, GO)
@@ -201,7 +201,7 @@ def test_a_foreign_snapshot_satisfies_nothing() -> None:
     estimator = scenarios.folder_signer(scenarios.trust_folder(), f"estimator-{scenarios.RID}")
     data = sign_object(foreign, Tag.STATE, estimator)
     sim.robot.latest = lambda: data
-    before = sim.gate.enforcer.intake.refresh()
+    before = sim.gate.enforcer.inputs.refresh()
     assert sim.gate.ledger.snapshot != (9, 1)  # nor does it shut the robot's own estimator out
     assert before is None or before.snapshot.robot == scenarios.RID
     assert records(sim, "intake")[-1].open["reasons"] == ["STATE_FOREIGN"]
@@ -702,7 +702,7 @@ def test_an_approver_who_was_revoked_since_does_not_count(bench: Any) -> None:
     scene = restricted(bench)
     outcome(scene)
     approve(bench, scene, "supervisor-1", "supervisor-2")
-    intake = scene.sim.gate.enforcer.intake
+    inputs = scene.sim.gate.enforcer.inputs
 
     class Revoked:
         def verify(self, *_: Any, **__: Any) -> Any:
@@ -715,25 +715,25 @@ def test_an_approver_who_was_revoked_since_does_not_count(bench: Any) -> None:
             raise AuthenticityError("revoked", reason=Reason.CERTIFICATE_REVOKED)
 
     standing = scene.standing()
-    intake._verifier = Dead()
-    assert scene.sim.gate.ledger.run(lambda act: intake.answers(act, standing)).approvals == ()
+    inputs._verifier = Dead()
+    assert scene.sim.gate.ledger.run(lambda act: inputs.answers(act, standing)).approvals == ()
 
 
 def test_an_old_snapshot_is_not_new_after_a_restart(tmp_path: Path) -> None:
     sim = ready(store=tmp_path / "robot.db")
     scenarios.propose(sim, GO)
-    old = sim.gate.enforcer.intake._held
+    old = sim.gate.enforcer.inputs._held
     sim.gate.close()
     again = scenarios.simulation(store=tmp_path / "robot.db", start_ms=scenarios.START_MS + 300_000)
     again.robot.latest = lambda: old
-    assert again.gate.enforcer.intake.refresh() is None
+    assert again.gate.enforcer.inputs.refresh() is None
     again.gate.close()
 
 
 def test_a_certificate_that_ended_stops_the_decision() -> None:
     sim = ready()
     scenarios.propose(sim, scenarios.navigate("dock", "office-1"))
-    kept = sim.gate.enforcer.intake._verified
+    kept = sim.gate.enforcer.inputs._verified
     for digest, verified in list(kept.items()):
         issuer = msgspec.structs.replace(verified.issuer, usable_until_ms=scenarios.START_MS - 1)
         kept[digest] = msgspec.structs.replace(verified, issuer=issuer)
@@ -838,7 +838,7 @@ def test_a_bad_token_is_refused_with_one_record_and_nothing_changed(
 
 def test_a_mission_whose_token_is_gone_is_refused() -> None:
     sim = ready()
-    sim.gate.enforcer.intake.forget()
+    sim.gate.enforcer.inputs.forget()
     held = sim.gate.ledger.store._held
     for key in [key for key in held if key[0] == "token"]:
         del held[key]

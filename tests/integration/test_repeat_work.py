@@ -72,7 +72,7 @@ def test_one_signature_carries_fifty_missions() -> None:
     assert found == Prompts(missions=50, signatures=1, requests=0, choices=0)
     assert (found.asked, found.per_mission) == (1, Fraction(1, 50))
     assert verify_rows(sim.gate.ledger.store.rows(), terminal=None).whole  # type: ignore[attr-defined]
-    assert len(sim.gate.enforcer.intake._verified) <= 16
+    assert len(sim.gate.enforcer.inputs._verified) <= 16
 
 
 def test_a_mission_that_is_signed_each_time_asks_each_time() -> None:

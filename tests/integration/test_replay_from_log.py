@@ -423,9 +423,9 @@ def test_a_log_in_which_nobody_knows_how_an_action_ended_is_decided_alike_again(
     begun = sim.robot.dispatch
 
     def lost(*given: Any) -> Any:
-        flight = begun(*given)
-        flight.outcome = lambda: Outcome.UNKNOWN
-        return flight
+        handle = begun(*given)
+        handle.outcome = lambda: Outcome.UNKNOWN
+        return handle
 
     sim.robot.dispatch = lost  # type: ignore[method-assign]
     assert scenarios.propose(sim, scenarios.navigate("dock", "pharmacy")).outcome == "unknown"
@@ -689,7 +689,7 @@ def test_a_gate_that_starts_with_another_site_says_so_in_its_log(tmp_path: Path)
 def ended(bench: Bench) -> list[LogRow]:
     """Return the log of a gate that held its issuer's certificates to have ended."""
     scene = restricted(bench)
-    kept = scene.sim.gate.enforcer.intake._verified
+    kept = scene.sim.gate.enforcer.inputs._verified
     for digest, verified in list(kept.items()):
         issuer = msgspec.structs.replace(verified.issuer, usable_until_ms=1)
         kept[digest] = msgspec.structs.replace(verified, issuer=issuer)

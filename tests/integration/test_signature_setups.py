@@ -23,7 +23,7 @@ from authguard_r.approvals import Selection, open_approval, open_selection
 from authguard_r.audit.record import Terminal, read_record
 from authguard_r.audit.verify import verify_rows
 from authguard_r.authoring.keys.setup import Member, demo_members, init_folder
-from authguard_r.client.handshake import Greeting, require_welcome
+from authguard_r.client.handshake import Handshake, require_welcome
 from authguard_r.core.approval import Approval, ApprovalVerdict
 from authguard_r.core.encoding import Tag, b64, digest_of, encode_fast, unb64
 from authguard_r.core.errors import AuthenticityError, AuthGuardError
@@ -162,7 +162,7 @@ def terminal(setup: Setup) -> bytes:
 
 def shaken(data: bytes, trust: Trust) -> None:
     """Take the proof as a client does who wants this robot's gate."""
-    greeting = Greeting(
+    handshake = Handshake(
         role=ClientRole.PLANNER, client="planner", verifier=trust, robot=scenarios.RID
     )
     welcome = Welcome(
@@ -173,7 +173,7 @@ def shaken(data: bytes, trust: Trust) -> None:
         client="planner",
         proof=data.decode(),
     )
-    require_welcome(welcome, greeting, nonce=NONCE, now=scenarios.NOW)
+    require_welcome(welcome, handshake, nonce=NONCE, now=scenarios.NOW)
 
 
 def opened(kind: type[Any], tag: Tag, role: str) -> Callable[[bytes, Trust], object]:
@@ -419,7 +419,7 @@ def test_a_hybrid_approval_stripped_of_either_signature_does_not_count(
     bench = hybrid.bench()
     scene = restricted(bench)
     propose(scene)
-    verified = scene.sim.gate.ledger.run(scene.sim.gate.enforcer.intake.active_mission)
+    verified = scene.sim.gate.ledger.run(scene.sim.gate.enforcer.inputs.active_mission)
     standing = scene.standing()
     assert standing is not None
     (request,) = standing.requests.values()
@@ -448,11 +448,11 @@ def test_a_hybrid_snapshot_stripped_of_either_signature_is_not_taken_in(
     assert whole is not None
     half = halves(whole)[kept]
     sim.robot.latest = lambda: half  # type: ignore[method-assign]
-    assert sim.gate.enforcer.intake.refresh() is None
+    assert sim.gate.enforcer.inputs.refresh() is None
     record = last(sim)
     assert (record.kind, record.open["reasons"]) == ("intake", ["SIGNATURE_MISSING"])
     sim.robot.latest = lambda: whole  # type: ignore[method-assign]
-    assert sim.gate.enforcer.intake.refresh() is not None
+    assert sim.gate.enforcer.inputs.refresh() is not None
 
 
 def test_a_proof_of_the_other_robot_s_gate_as_second_half_is_no_handshake(hybrid: Setup) -> None:

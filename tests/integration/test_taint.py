@@ -164,20 +164,20 @@ def test_a_supervisor_s_approval_does_not_reach_beyond_the_mission(tmp_path: Pat
 def test_the_estimator_s_signature_updates_attested_state() -> None:
     sim = ready()
     assert scenarios.propose(sim, TO_PHARMACY).outcome is Outcome.SUCCEEDED
-    state = sim.gate.enforcer.intake.refresh()
+    state = sim.gate.enforcer.inputs.refresh()
     assert state.place == frozenset({"pharmacy"})
 
 
 @pytest.mark.parametrize("by", ["operator-1", "supervisor-1", "gate-courier-1"])
 def test_nobody_else_s_signature_updates_state(by: str) -> None:
     sim = ready()
-    sim.gate.enforcer.intake.refresh()
-    before = sim.gate.enforcer.intake.newest
+    sim.gate.enforcer.inputs.refresh()
+    before = sim.gate.enforcer.inputs.newest
     forged = snapshot_of(scenarios.world("office-1"), robot=scenarios.RID, epoch=9, seq=9)
     signer = scenarios.folder_signer(scenarios.trust_folder(), by)
     sim.robot.latest = lambda: sign_object(forged, Tag.STATE, signer)
-    sim.gate.enforcer.intake.refresh()
-    assert sim.gate.enforcer.intake.newest is before
+    sim.gate.enforcer.inputs.refresh()
+    assert sim.gate.enforcer.inputs.newest is before
 
 
 def test_the_estimator_signs_no_mission_and_its_words_are_no_state() -> None:

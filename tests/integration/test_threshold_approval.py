@@ -117,7 +117,7 @@ def reasons(scene: BenchScene) -> list[str]:
 def asked(scene: BenchScene, verdict: ApprovalVerdict = ApprovalVerdict.APPROVE) -> Approval:
     standing = scene.standing()
     assert standing is not None
-    verified = scene.sim.gate.ledger.run(scene.sim.gate.enforcer.intake.active_mission)
+    verified = scene.sim.gate.ledger.run(scene.sim.gate.enforcer.inputs.active_mission)
     ((grant, request),) = standing.requests.items()
     return answer(verified, grant, request, rid=scene.sim.robot.rid, verdict=verdict)
 

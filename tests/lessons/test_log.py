@@ -59,39 +59,39 @@ class Desk:
 
 
 @pytest.fixture
-def desk(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Desk:
+def session(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Desk:
     return Desk(tmp_path, capsys)
 
 
-def test_l8_a_log_that_was_cut_chained_anew_or_deleted_does_not_verify(desk: Desk) -> None:
-    log, given = desk.log, desk.anchored()
-    code, told, _ = desk.verify(log.rows, *given)
+def test_l8_a_log_that_was_cut_chained_anew_or_deleted_does_not_verify(session: Desk) -> None:
+    log, given = session.log, session.anchored()
+    code, told, _ = session.verify(log.rows, *given)
     assert (code, told["anchored"], told["anchored_size"]) == (0, "witnessed", log.size)
     for size in (0, 1, 11, log.size - 1):  # at 0 everything is gone
-        code, told, text = desk.verify(log.rows[:size], *given)
+        code, told, text = session.verify(log.rows[:size], *given)
         assert (code, told["where"]) == (1, f"record {size}")
         assert "NOT WHOLE" in text
         turned = edited(log.rows[size], mid="m-other")
         changed = rechained([*log.rows[:size], turned, *log.rows[size + 1 :]], size)
         assert verify_rows(changed).whole
-        assert desk.verify(tuple(changed), *given)[0] == 1
+        assert session.verify(tuple(changed), *given)[0] == 1
 
 
-def test_l8_verify_never_says_of_a_shortened_log_that_nothing_is_missing(desk: Desk) -> None:
+def test_l8_verify_never_says_of_a_shortened_log_that_nothing_is_missing(session: Desk) -> None:
     """Where nobody from outside vouches for the end, that is what is said."""
-    for size in (0, 1, 11, desk.log.size):
+    for size in (0, 1, 11, session.log.size):
         if size:  # an empty file is no log
-            code, told, text = desk.verify(desk.log.rows[:size], noted=False)
+            code, told, text = session.verify(session.log.rows[:size], noted=False)
             assert (code, told["anchored"], told["anchored_size"]) == (0, "unanchored", 0)
             assert "nothing outside says that no record is missing at the end" in text
         # a checkpoint that lies beside it is held against it, whoever signed that
-        code, told, text = desk.verify(desk.log.rows[:size])
-        assert (code, told["anchored"]) == (int(size < desk.log.size), "unanchored")
-        assert ("the log is cut off" in text) is (size < desk.log.size)
+        code, told, text = session.verify(session.log.rows[:size])
+        assert (code, told["anchored"]) == (int(size < session.log.size), "unanchored")
+        assert ("the log is cut off" in text) is (size < session.log.size)
     # with the key of the log alone the file's own checkpoint shows it
-    key = ("--key", desk.log.keys[0].text())
-    assert desk.verify(desk.log.rows[:-1], *key)[0] == 1
-    code, _, text = desk.verify(desk.log.rows, *key)
+    key = ("--key", session.log.keys[0].text())
+    assert session.verify(session.log.rows[:-1], *key)[0] == 1
+    code, _, text = session.verify(session.log.rows, *key)
     assert (code, "what was after it may be gone" in text) == (0, True)
 
 

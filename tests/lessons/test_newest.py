@@ -95,7 +95,7 @@ def test_l25_what_was_refused_on_a_full_disk_is_in_the_log_after_a_clean_stop(fu
     full.fill_rest(ledger)
     hijacks = [f"hijack {number}" for number in range(2)]
     for name in hijacks:
-        ledger.refuse(lambda at: entry_of("refusal", at), fold=("llm", name, "plan"))
+        ledger.refuse(lambda at: entry_of("refusal", at), dedup_key=("llm", name, "plan"))
     assert ledger.refusals.only_counts  # which the gate says in an alert
     assert ledger.flush(everything=True)  # as a gate that ends does
     ledger.close()
@@ -153,9 +153,9 @@ def test_l29_a_failure_in_a_success_envelope_has_failed() -> None:
         robot = Robot(
             navigate_to=[ToolAnswer(is_error=False, text=text)], say=[ToolAnswer(is_error=False)]
         )
-        flight = body_of(robot, "say", moves=demand).begin(DRIVE, TICKET)
-        await until(lambda: flight.outcome() is not None)
-        return flight.outcome()
+        handle = body_of(robot, "say", moves=demand).begin(DRIVE, TICKET)
+        await until(lambda: handle.outcome() is not None)
+        return handle.outcome()
 
     landed, unarmed = (
         {TEXT: AnswerMatch(starts_with="landed")},

@@ -24,7 +24,7 @@ from fixtures import estop_fixtures, scenarios, templates
 from fixtures.templates import instance, token
 from integration.stop_faults import leaves_a_stop
 from unit.server.test_robot_lock import fill, names_of
-from unit.sim.desks import Bench, drive
+from unit.sim.controller_bench import Bench, drive
 
 
 def test_l35_a_stop_that_a_frozen_process_was_sent_is_carried_out_when_it_goes_on() -> None:

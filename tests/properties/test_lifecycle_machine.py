@@ -702,14 +702,14 @@ class Life(RuleBasedStateMachine):
         standing = self.model.registry[judged.verified.mission.mid]
         lasts = standing["digest"] == judged.verified.digest
         lasts = lasts and standing["status"] in {"active", "closing"}
-        over = running._flight.outcome() is not None
+        over = running._handle.outcome() is not None
         report = end()
         if not lasts and not over:
             assert str(report.outcome) == "aborted"
         # `finish` has put the robot back since: it took one more tick than the outcome
         judged_at = self.here.gate.ledger.standing(judged.verified.mission.mid)
         assert judged_at is not None
-        self._settled_at(report, plain(running._flight.used()), judged_at.closes_ms)
+        self._settled_at(report, plain(running._handle.used()), judged_at.closes_ms)
 
     def _settled_at(self, report: Report, used: Json, closes_ms: int) -> None:
         """The outcome's own instant is not told; where it matters, `closes_ms` has to fit it."""
@@ -782,7 +782,7 @@ class Life(RuleBasedStateMachine):
         self._recover(unclean=unclean)
 
     def _recover(self, *, unclean: bool) -> None:
-        state = self.here.gate.enforcer.intake.state
+        state = self.here.gate.enforcer.inputs.state
         assert state is not None
         now = {"utc_ms": self.now_ms(), "mono_ms": self.here.gate.ledger.mono_ms()}
         snapshot = {"snapshot": plain(state.snapshot), "arrived_mono_ms": state.arrived_mono_ms}
@@ -805,7 +805,7 @@ class Life(RuleBasedStateMachine):
             event = "complete" if standing["status"] == "closing" else "suspend"
             self.model.hold(name, advanced(standing, event) or standing, self.now_ms())
         report = self.here.abort(running)
-        self._settled(report, plain(running._flight.used()))
+        self._settled(report, plain(running._handle.used()))
 
     @invariant()
     def both_hold_the_same(self) -> None:

@@ -352,11 +352,11 @@ class Adversary(RuleBasedStateMachine):
             data = sign_object(snapshot, Tag.STATE, signer)
         elif by:
             data = sign_object(snapshot, Tag.STATE, folder_signer(scenarios.trust_folder(), by))
-        intake, before = self.sim.gate.enforcer.intake, self.sim.gate.enforcer.intake.newest
+        inputs, before = self.sim.gate.enforcer.inputs, self.sim.gate.enforcer.inputs.newest
         latest, self.sim.robot.latest = self.sim.robot.latest, lambda: data
         try:
-            intake.refresh()
-            assert intake.newest is before
+            inputs.refresh()
+            assert inputs.newest is before
         finally:
             self.sim.robot.latest = latest
 
@@ -373,7 +373,7 @@ class Adversary(RuleBasedStateMachine):
         held = self.sim.gate.ledger.run(lambda act: (act.active(), act.token(standing.digest)))
         assert held == (SIGNED.mid, self.token)
         verified = self.sim.gate.ledger.run(
-            lambda act: self.sim.gate.enforcer.intake.mission(act, standing.digest)
+            lambda act: self.sim.gate.enforcer.inputs.mission(act, standing.digest)
         )
         assert (verified.mission, verified.digest) == (SIGNED, DIGEST)
         assert (standing.digest, standing.version) == (DIGEST, 1)

@@ -24,7 +24,7 @@ NOW = scenarios.START_MS
 def sim() -> Any:
     made = scenarios.simulation()
     made.gate.management.activate(scenarios.token())
-    made.gate.enforcer.intake.refresh()
+    made.gate.enforcer.inputs.refresh()
     return made
 
 
@@ -34,7 +34,7 @@ def show(sim: Any, epoch: int, seq: int = 1) -> tuple[int, int]:
     signer = scenarios.folder_signer(scenarios.trust_folder(), f"estimator-{scenarios.RID}")
     token = sign_object(seen, Tag.STATE, signer)
     sim.robot.latest = lambda: token
-    state = sim.gate.enforcer.intake.refresh()
+    state = sim.gate.enforcer.inputs.refresh()
     return state.snapshot.epoch, state.snapshot.seq
 
 
@@ -47,7 +47,7 @@ def test_an_estimator_that_claims_the_largest_epoch_shuts_no_later_one_out(sim: 
     before = sim.gate.ledger.snapshot
     assert show(sim, MAX_INTEGER, MAX_INTEGER) == before
     assert refused(sim) == [("VALUE_OUT_OF_RANGE",)]
-    assert sim.gate.enforcer.intake.fault.where == "state.epoch"
+    assert sim.gate.enforcer.inputs.fault.where == "state.epoch"
     assert sim.gate.ledger.snapshot == before  # what is held with the next commit
     assert show(sim, NOW) == (NOW, 1)
     assert sim.robot.trace == []
@@ -78,7 +78,7 @@ def test_a_simulation_that_begins_again_at_the_same_time_is_a_later_start(tmp_pa
     epochs = []
     for _ in range(2):
         sim = scenarios.simulation(store=tmp_path / "robot.db")
-        epochs.append(sim.gate.enforcer.intake.refresh().snapshot.epoch)
+        epochs.append(sim.gate.enforcer.inputs.refresh().snapshot.epoch)
         sim.gate.management.started()  # something that is committed
         sim.gate.close()
     assert epochs == [NOW, NOW + 1]

@@ -42,28 +42,28 @@ class Flight:
 class Controller:
     """One that obeys, or does not."""
 
-    def __init__(self, flight: Flight, *, stands: bool = True) -> None:
-        self.flight = flight
+    def __init__(self, handle: Flight, *, stands: bool = True) -> None:
+        self.handle = handle
         self.stops = 0
         self._stands = stands
 
     def dispatch(self, action: object, lease: object) -> Flight:
-        return self.flight
+        return self.handle
 
     def stop(self) -> None:
         self.stops += 1
         if self._stands:
-            self.flight.ended = Outcome.ABORTED
+            self.handle.ended = Outcome.ABORTED
 
 
 class Bench:
     """A gate whose controller is somebody else's, and one action of it under way."""
 
-    def __init__(self, flight: Flight | None = None, *, stands: bool = True) -> None:
+    def __init__(self, handle: Flight | None = None, *, stands: bool = True) -> None:
         self.sim = scenarios.simulation()
         self.sim.gate.management.activate(scenarios.token())
-        self.flight = flight or Flight()
-        self.controller = Controller(self.flight, stands=stands)
+        self.handle = handle or Flight()
+        self.controller = Controller(self.handle, stands=stands)
         self.sim.gate.enforcer._watch.controller = self.controller
         self.kept: list[Report] = []
 
@@ -103,7 +103,7 @@ def test_an_action_that_runs_holds_until_its_controller_says_how_it_ended() -> N
     running = bench.begin()
     assert running.poll() is None
     assert running.holds
-    bench.flight.ended = Outcome.SUCCEEDED
+    bench.handle.ended = Outcome.SUCCEEDED
     report = running.poll()
     assert report is not None
     assert (report.outcome, report.reasons, report.outcome_recorded) == (
@@ -124,7 +124,7 @@ def test_what_a_controller_says_went_wrong_is_a_finding_with_its_words(
     why: str, reason: Reason | None
 ) -> None:
     bench = Bench(Flight(why))
-    bench.flight.ended = Outcome.ABORTED
+    bench.handle.ended = Outcome.ABORTED
     report = bench.begin().poll()
     assert report is not None
     (finding,) = report.reasons
@@ -135,7 +135,7 @@ def test_what_a_controller_says_went_wrong_is_a_finding_with_its_words(
 def test_a_controller_in_doubt_is_told_to_stop_though_the_lease_holds() -> None:
     bench = Bench()
     running = bench.begin()
-    bench.flight.said = "CONTROLLER_FAILED"
+    bench.handle.said = "CONTROLLER_FAILED"
     report = running.poll()
     assert bench.controller.stops == 1
     assert report is not None
@@ -173,7 +173,7 @@ def test_who_asked_to_be_told_is_told_right_before_the_outcome_is_recorded() -> 
     running.before_outcome(lambda: seen.append(len(bench.records("outcome"))))
     assert running.poll() is None
     assert seen == []
-    bench.flight.ended = Outcome.SUCCEEDED
+    bench.handle.ended = Outcome.SUCCEEDED
     running.poll()
     assert seen == [0]
 
@@ -187,9 +187,9 @@ def test_an_outcome_of_a_superseded_version_is_held_to_the_version_in_force(
     first = digest_of(Tag.MISSION, scenarios.mission())
     second = scenarios.mission("mission-v2.yaml", supersedes=first)
     bench.sim.gate.management.activate(scenarios.token(second))
-    bench.flight.ended = Outcome.SUCCEEDED
+    bench.handle.ended = Outcome.SUCCEEDED
     if not believed:  # nobody's certificate counts any more
-        bench.sim.gate.enforcer.intake.forget()
+        bench.sim.gate.enforcer.inputs.forget()
         bench.sim.robot._start_ms += 400 * 86_400_000
     report = running.poll()
     assert report is not None
@@ -206,9 +206,9 @@ def test_an_outcome_of_a_superseded_version_is_held_to_the_version_in_force(
 
 def test_what_is_kept_is_in_the_same_turn_as_decision_and_outcome() -> None:
     bench = Bench()
-    running = bench.begin(keep=bench.keep)
+    running = bench.begin(on_commit=bench.keep)
     assert bench.held == b"None"
-    bench.flight.ended = Outcome.SUCCEEDED
+    bench.handle.ended = Outcome.SUCCEEDED
     running.poll()
     assert bench.held == b"succeeded"
 
@@ -223,7 +223,7 @@ def test_a_crash_shows_both_or_none_of_what_is_kept_and_what_is_recorded(at: str
         if crashing:
             raise StoreError("the power went")
 
-    begun = bench.submit(keep=keep)
+    begun = bench.submit(on_commit=keep)
     if at == "decision":
         assert isinstance(begun, Report)
         assert begun.refusal is not None
@@ -232,7 +232,7 @@ def test_a_crash_shows_both_or_none_of_what_is_kept_and_what_is_recorded(at: str
         return
     assert isinstance(begun, Running)
     crashing = True
-    bench.flight.ended = Outcome.SUCCEEDED
+    bench.handle.ended = Outcome.SUCCEEDED
     report = begun.poll()
     assert report is not None
     assert not report.outcome_recorded
@@ -247,7 +247,7 @@ def test_what_is_kept_of_an_action_that_was_not_begun_says_so() -> None:
         raise ControllerError("no")
 
     bench.controller.dispatch = refuse  # type: ignore[method-assign]
-    report = bench.submit(keep=bench.keep)
+    report = bench.submit(on_commit=bench.keep)
     assert isinstance(report, Report)
     assert report.outcome is Outcome.NOT_STARTED
     assert bench.held == b"not_started"
@@ -255,7 +255,9 @@ def test_what_is_kept_of_an_action_that_was_not_begun_says_so() -> None:
 
 def test_what_is_refused_keeps_nothing() -> None:
     bench = Bench()
-    assert isinstance(bench.submit(scenarios.navigate("dock", "office-1"), keep=bench.keep), Report)
+    assert isinstance(
+        bench.submit(scenarios.navigate("dock", "office-1"), on_commit=bench.keep), Report
+    )
     assert bench.held is None
 
 

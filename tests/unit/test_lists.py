@@ -131,30 +131,30 @@ def test_a_motion_goes_on_under_a_list_that_names_others(house: DemoGate, folder
 
 
 def test_what_a_revoked_estimator_said_is_believed_no_more(house: DemoGate, folder: Path) -> None:
-    intake = house.gate.enforcer.intake
-    assert intake.state is not None
+    inputs = house.gate.enforcer.inputs
+    assert inputs.state is not None
     bring(house, dead(folder, f"estimator-{scenarios.RID}"))
-    assert intake.state is None
+    assert inputs.state is None
     house.advance(200)
-    assert intake.state is None
-    assert isinstance(intake.fault, AuthenticityError)
-    assert intake.fault.reason is Reason.CERTIFICATE_REVOKED
+    assert inputs.state is None
+    assert isinstance(inputs.fault, AuthenticityError)
+    assert inputs.fault.reason is Reason.CERTIFICATE_REVOKED
     planner = house.enter(ClientRole.PLANNER)
     (step,) = house.propose(planner, GO)["steps"]
     assert step["released"] is False
 
 
 def test_what_another_estimator_said_stays(house: DemoGate, folder: Path) -> None:
-    before = house.gate.enforcer.intake.newest
+    before = house.gate.enforcer.inputs.newest
     assert before is not None
     bring(house, fresh(folder, "machines"))
-    assert house.gate.enforcer.intake.newest is before
+    assert house.gate.enforcer.inputs.newest is before
 
 
 def test_a_list_may_come_before_any_state(folder: Path) -> None:
     with DemoGate(trust=folder / "trust", robot=False, estimator=False) as house:
         assert bring(house, fresh(folder))["number"] == 2
-        assert house.gate.enforcer.intake.state is None
+        assert house.gate.enforcer.inputs.state is None
 
 
 def test_a_gate_that_is_revoked_releases_nothing_more(house: DemoGate, folder: Path) -> None:
@@ -196,7 +196,7 @@ def test_an_approver_who_is_revoked_after_answering_does_not_count(tmp_path: Pat
     gate, standing = scene.sim.gate, scene.standing()
     assert standing is not None
     ((grant, request),) = standing.requests.items()
-    verified = gate.ledger.run(gate.enforcer.intake.active_mission)
+    verified = gate.ledger.run(gate.enforcer.inputs.active_mission)
     said = answer(verified, grant, request, rid=scenarios.RID, verdict=ApprovalVerdict.APPROVE)
     for name in ("supervisor-1", "supervisor-2"):
         token = sign_object(said, Tag.APPROVAL, folder_signer(bench.folder, name))

@@ -397,7 +397,7 @@ def test_another_missions_token_under_a_digest_decides_and_ends_nothing(folder: 
         held = ward.management.standing("first").digest
         other = ward.signed(mission("second", "operator-2"), "operator-2")
         ward.house.gate.ledger.run(lambda act: act.keep_token(held, other))
-        ward.house.gate.enforcer.intake.forget()
+        ward.house.gate.enforcer.inputs.forget()
         planner = ward.house.enter(ClientRole.PLANNER)
         (step,) = ward.house.propose(planner, SCAN)["steps"]
         assert step["refusal"]["reason"] == "STORE_CORRUPT"

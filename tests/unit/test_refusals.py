@@ -146,9 +146,11 @@ def refusal(time_ms: int, note: object = "no", kind: str = "decision") -> Entry:
     )
 
 
-def refuse(ledger: Ledger, note: object = "no", fold: tuple[str, str, str] = FOLD) -> int | None:
+def refuse(
+    ledger: Ledger, note: object = "no", dedup_key: tuple[str, str, str] = FOLD
+) -> int | None:
     """Refuse one proposal in an act, as the enforcer does."""
-    return ledger.run(lambda act: act.refuse(refusal(act.now.utc_ms, note), fold=fold))
+    return ledger.run(lambda act: act.refuse(refusal(act.now.utc_ms, note), dedup_key=dedup_key))
 
 
 def accept(ledger: Ledger, **options: Any) -> int:
@@ -235,7 +237,7 @@ def test_without_a_policy_each_refusal_is_a_record_with_its_number_at_once(
     made = MemoryStore() if store == "memory" else open_store(path)
     ledger = ledger_on(made, clock, RefusalPolicy())
     assert [refuse(ledger, n) for n in range(3)] == [1, 2, 3]
-    assert ledger.refuse(lambda at: refusal(at, 3), fold=FOLD) == 4
+    assert ledger.refuse(lambda at: refusal(at, 3), dedup_key=FOLD) == 4
     assert notes(ledger) == [0, 1, 2, 3]
     ledger.flush()
     ledger.close()
@@ -257,7 +259,7 @@ def test_without_a_policy_a_refusal_that_cannot_be_recorded_says_so(make: Make, 
     with pytest.raises(StoreError):
         refuse(ledger)
     with pytest.raises(StoreError):
-        ledger.refuse(refusal, fold=FOLD)
+        ledger.refuse(refusal, dedup_key=FOLD)
     disk.is_full = lambda: False
     assert refuse(ledger, "later") == 1
     assert notes(ledger) == ["later"]
@@ -268,8 +270,8 @@ def test_repeats_can_be_counted_while_nothing_waits(make: Make, clock: SetClock)
     assert refuse(ledger, 0) == 1
     assert [refuse(ledger, n) for n in (1, 2)] == [None, None]
     other = ("planner-2", *FOLD[1:])
-    assert ledger.refuse(lambda at: refusal(at, "other"), fold=other) == 2
-    assert ledger.refuse(lambda at: refusal(at, "again"), fold=other) is None
+    assert ledger.refuse(lambda at: refusal(at, "other"), dedup_key=other) == 2
+    assert ledger.refuse(lambda at: refusal(at, "again"), dedup_key=other) is None
     clock.pause(1_000)
     ledger.flush()
     assert notes(ledger) == [0, "other"]
@@ -286,7 +288,7 @@ def test_a_refusal_that_waits_costs_no_fsync_and_is_written_by_the_flush(
     before = (disk.synced, disk.written)
     assert refuse(ledger, "act") is None
     clock.pause(40)
-    assert ledger.refuse(lambda at: refusal(at, "note"), fold=("p", "r", "f")) is None
+    assert ledger.refuse(lambda at: refusal(at, "note"), dedup_key=("p", "r", "f")) is None
     assert (disk.synced, disk.written) == before
     clock.pause(40)
     ledger.flush()
@@ -305,7 +307,7 @@ def test_the_log_is_in_the_order_of_the_decisions(make: Make) -> None:
         refuse(ledger, n, (f"client-{n}", "r", "f"))
     assert accept(ledger) == 4
     refuse(ledger, 3, ("client-3", "r", "f"))
-    ledger.refuse(lambda at: refusal(at, 4), fold=("client-4", "r", "f"))
+    ledger.refuse(lambda at: refusal(at, 4), dedup_key=("client-4", "r", "f"))
     assert ledger.note(lambda at: entry_of("stop", at), essential=True) == 7
     expected = ["genesis", "reject", "reject", "reject", "accept", "reject", "reject", "stop"]
     assert decisions(ledger) == expected
@@ -333,7 +335,7 @@ def test_a_refusal_that_changes_something_is_recorded_with_the_change(
 
     def job(act: Transaction) -> int | None:
         act.put("standing", "m", b"expired")
-        return act.refuse(refusal(act.now.utc_ms, "changed"), fold=FOLD)
+        return act.refuse(refusal(act.now.utc_ms, "changed"), dedup_key=FOLD)
 
     assert refuse(ledger, "before", ("planner-2", "r", "f")) is None
     assert [ledger.run(job), ledger.run(job)] == [2, 3]
@@ -350,7 +352,7 @@ def test_an_act_that_fails_loses_no_refusal_that_waited_and_leaves_none_of_its_o
     refuse(ledger, "waits")
 
     def job(act: Transaction) -> None:
-        act.refuse(refusal(act.now.utc_ms, "undone"), fold=("planner-2", "r", "f"))
+        act.refuse(refusal(act.now.utc_ms, "undone"), dedup_key=("planner-2", "r", "f"))
         act.record(entry_of("accept", act.now.utc_ms))
         raise RefusedError("no", reason=Reason.ROLE_DENIED)
 
@@ -363,9 +365,9 @@ def test_an_act_that_fails_loses_no_refusal_that_waited_and_leaves_none_of_its_o
 
 def test_a_refusal_that_cannot_be_spelled_is_in_nobody_elses_way(make: Make) -> None:
     ledger = make()
-    for fold in (FOLD, FOLD):
+    for dedup_key in (FOLD, FOLD):
         with pytest.raises(UnicodeEncodeError):
-            refuse(ledger, "\ud800", fold)
+            refuse(ledger, "\ud800", dedup_key)
     refuse(ledger, "good")
     accept(ledger)
     assert decisions(ledger) == ["genesis", "reject", "accept"]
@@ -429,7 +431,7 @@ def test_a_flush_does_not_turn_the_committed_time_back(make: Make, clock: SetClo
     clock.pause(1_000)
     accept(ledger)
     high = ledger.run(lambda act: act.get("clock", "high"))
-    ledger.refuse(refusal, fold=FOLD)
+    ledger.refuse(refusal, dedup_key=FOLD)
     ledger.flush()
     assert ledger.run(lambda act: act.get("clock", "high")) == high
 
@@ -444,7 +446,7 @@ def test_a_hundred_thousand_repeats_are_two_records_and_two_fsyncs(
     before = (disk.synced, disk.written)
     digest = sha256(Tag.RAW.prefix)
     for n in range(100_000):
-        assert ledger.refuse(lambda at, n=n: refusal(at, n), fold=FOLD) is None
+        assert ledger.refuse(lambda at, n=n: refusal(at, n), dedup_key=FOLD) is None
         if n:
             digest.update(encode_fast(refusal(clock.wall_ms(), n)))
         if n % 10_000 == 0:
@@ -915,7 +917,7 @@ def test_one_by_one_refusals_are_counted_too_while_there_is_no_room(full: Full) 
     full.fill_rest(ledger)
     outcome(ledger)
     assert refuse(ledger) is None
-    assert ledger.refuse(refusal, fold=FOLD) is None
+    assert ledger.refuse(refusal, dedup_key=FOLD) is None
     full.mend()
     ledger.flush()
     assert records(ledger)[-1]["repeats"] == 2

@@ -90,25 +90,25 @@ def test_a_recording_is_counted() -> None:
 
 def test_time_passes_only_when_somebody_pauses() -> None:
     robot = scenarios.simulation().robot
-    flight = robot.dispatch(does("wait", params={"duration_ms": 1_000}), None)
-    assert flight.outcome() is None
+    handle = robot.dispatch(does("wait", params={"duration_ms": 1_000}), None)
+    assert handle.outcome() is None
     robot.pause(999)
-    assert flight.outcome() is None
+    assert handle.outcome() is None
     robot.pause(1)
-    assert str(flight.outcome()) == "succeeded"
-    assert flight.used().wait_ms == 1_000
+    assert str(handle.outcome()) == "succeeded"
+    assert handle.used().wait_ms == 1_000
     assert robot.mono_ms() == 1_000
 
 
 def test_one_action_at_a_time_and_a_stop_ends_it() -> None:
     robot = scenarios.simulation().robot
-    flight = robot.dispatch(scenarios.navigate("dock", "pharmacy"), None)
+    handle = robot.dispatch(scenarios.navigate("dock", "pharmacy"), None)
     with pytest.raises(ControllerError):
         robot.dispatch(scenarios.navigate("dock", "pharmacy"), None)
     robot.pause(3_000)
     assert robot.state.speed_mm_s == 500
     robot.stop()
-    assert str(flight.outcome()) == "aborted"
+    assert str(handle.outcome()) == "aborted"
     assert robot.state.speed_mm_s == 0
     here = (robot.state.x_mm, robot.state.y_mm)
     robot.pause(3_000)

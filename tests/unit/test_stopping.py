@@ -143,7 +143,7 @@ def test_what_cannot_be_written_does_not_undo_a_stop(tmp_path: Path, is_planner:
 
 def test_a_stop_whose_mission_is_gone_from_the_store_is_recorded_all_the_same() -> None:
     sim = ready()
-    sim.gate.enforcer.intake.forget()
+    sim.gate.enforcer.inputs.forget()
     held = sim.gate.ledger.store._held
     for key in [key for key in held if key[0] == "token"]:
         del held[key]

@@ -63,7 +63,7 @@ def test_an_offline_gate_moves_nothing(tmp_path) -> None:  # type: ignore[no-unt
     with pytest.raises(ControllerError):
         controller.dispatch(scenarios.navigate("dock", "pharmacy"), None)  # type: ignore[arg-type]
     controller.stop()
-    assert gate.enforcer.intake.refresh() is None
+    assert gate.enforcer.inputs.refresh() is None
     gate.close()
 
 

@@ -119,7 +119,7 @@ class StoreAnchor:
         counter: Counter | None = None,
         signer: Signer | None = None,
         reading: CounterReading = CounterReading(),  # noqa: B008 - frozen
-        notary: CheckpointScheduler | None = None,
+        scheduler: CheckpointScheduler | None = None,
     ) -> None:
         if (counter is None) is not (signer is None):
             raise TypeError("a counter needs the gate's own signer, and nothing else does")
@@ -131,12 +131,12 @@ class StoreAnchor:
         self._store, self._known, self._place = ledger.peek(self._look)
         self._opened = self._place.size
         self._number = max(self.number, self._known or 0)
-        self._notary = notary
+        self._notary = scheduler
         why = ledger.peek(lambda turn: self._compare(turn, reading))
         size = None if self._counted is None else self._counted.size
         self._doubt = None if why is None else Doubt(why, BY_COUNTER, size)
-        if self._doubt is None and notary is not None:
-            self._doubt = notary.compare()
+        if self._doubt is None and scheduler is not None:
+            self._doubt = scheduler.compare()
 
     @property
     def why(self) -> Discrepancy | None:

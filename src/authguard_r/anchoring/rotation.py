@@ -13,13 +13,7 @@ from contextlib import suppress
 from msgspec import Struct
 
 from authguard_r.anchoring.anchor import AnchorNotice
-from authguard_r.anchoring.checkpoints import (
-    NEWEST,
-    WITNESSED,
-    StoredNodes,
-    block_root,
-    size_of,
-)
+from authguard_r.anchoring.checkpoints import NEWEST, WITNESSED, StoredNodes, block_root, size_of
 from authguard_r.audit.checkpoint import Checkpoint, origin_of
 from authguard_r.audit.note import Note
 from authguard_r.audit.tree import root_of

@@ -99,7 +99,7 @@ def verify_in_pieces(
         return verify_rows(rows, terminal=terminal, anchors=anchors)
     verifier = LogVerifier(terminal=terminal, anchors=anchors)
     with _Helpers(jobs - 1) as helpers:
-        return _Course(_Reading(rows, verifier.cuts), verifier, helpers, alone).run()
+        return _Verification(_Reading(rows, verifier.cuts), verifier, helpers, alone).run()
 
 
 class _Reading:
@@ -141,7 +141,7 @@ class _Reading:
             raise self._error
 
 
-class _Course:
+class _Verification:
     """One log on its way through the processes."""
 
     def __init__(

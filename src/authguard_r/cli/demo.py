@@ -170,12 +170,12 @@ def _safety_alone(stage: _Stage, simulation: Simulation, reply: str) -> dict[str
     """Ask the second gate about the hijacked step, as a system without the first would."""
     plan = read_plan(read_file(stage.files / "replies" / f"{reply}.json"), binder=simulation.binder)
     gate, now = simulation.gate, simulation.gate.ledger.now()
-    verified = gate.ledger.run(gate.enforcer.intake.active_mission)
-    gate.enforcer.intake.refresh()
+    verified = gate.ledger.run(gate.enforcer.inputs.active_mission)
+    gate.enforcer.inputs.refresh()
     judged = evaluate(
         verified,
         plan.steps[0].action,
-        state=gate.enforcer.intake.state,
+        state=gate.enforcer.inputs.state,
         facts=gate.facts,
         now=now,
         standing=gate.ledger.standing(verified.mission.mid),

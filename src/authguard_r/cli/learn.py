@@ -20,7 +20,7 @@ from authguard_r.cli.inputs import JsonFlag, SiteOption, load_site
 from authguard_r.cli.log_reading import strange
 from authguard_r.cli.logs import open_log
 from authguard_r.cli.signing_key import PassphraseFile
-from authguard_r.cli.unsealing import ReaderOption, opening_of
+from authguard_r.cli.unsealing import ReaderOption, unsealer_of
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.reasons import Reason
 from authguard_r.wire.output import emit
@@ -55,7 +55,7 @@ def learn_command(
     as_json: JsonFlag = False,
 ) -> int:
     """Propose a binding and a mission from a shadow run; whether it is signed, a person says."""
-    opening = opening_of(reader, passphrase_file)
+    opening = unsealer_of(reader, passphrase_file)
     model = load_site(site, trust)
     bound = None if binding is None else read_binding(binding, model)
     with _rows(log) as rows:

@@ -22,7 +22,7 @@ from authguard_r.cli.audit import StoreArgument
 from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.log_reading import reading
 from authguard_r.cli.signing_key import PassphraseFile
-from authguard_r.cli.unsealing import ReaderOption, opening_of
+from authguard_r.cli.unsealing import ReaderOption, unsealer_of
 from authguard_r.core.encoding import Tag, digest_of
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault, RefusedError
 from authguard_r.core.mission import Mission
@@ -49,7 +49,7 @@ def explain_command(
 ) -> int:
     """Say what a record says, who asked, why, and what signed change would have allowed it."""
     how = f"authguard audit explain {store} {seq} --draft FILE"
-    opening = opening_of(reader, passphrase_file)
+    opening = unsealer_of(reader, passphrase_file)
     with reading(store, opening) as log:
         told = explained(log.rows, seq, how=how, closed=opening.closed)
     lines = [str(line) for line in told["text"]]

@@ -25,7 +25,7 @@ from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.log_reading import reading
 from authguard_r.cli.logs import ReadableLog
 from authguard_r.cli.signing_key import PassphraseFile
-from authguard_r.cli.unsealing import LogOpening, ReaderOption, opening_of
+from authguard_r.cli.unsealing import LogUnsealer, ReaderOption, unsealer_of
 from authguard_r.core.encoding import b64, encode_fast
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.quantities import to_timestamp
@@ -73,7 +73,7 @@ def export_command(
     if reader is not None and form is Format.JSONL:
         text = "JSON Lines are written as they are stored, and read with the key: --format csv"
         raise typer.BadParameter(text, param_hint="--reader")
-    opening = opening_of(reader, passphrase_file)
+    opening = unsealer_of(reader, passphrase_file)
     with reading(store, opening if form is Format.CSV else None) as log:
         count = _write(log, form, out, opening)
     if out is not None:
@@ -81,7 +81,7 @@ def export_command(
     return 0
 
 
-def _write(log: ReadableLog, form: Format, out: Path | None, opening: LogOpening) -> int:
+def _write(log: ReadableLog, form: Format, out: Path | None, opening: LogUnsealer) -> int:
     lines = _json_lines(log) if form is Format.JSONL else _csv_lines(log.rows, opening)
     if out is None:
         return _put(lines, sys.stdout.buffer)
@@ -113,7 +113,7 @@ def _json_lines(log: ReadableLog) -> Iterator[bytes]:
         yield note_line(log.notes[0])
 
 
-def _csv_lines(rows: Iterator[LogRow], opening: LogOpening) -> Iterator[bytes]:
+def _csv_lines(rows: Iterator[LogRow], opening: LogUnsealer) -> Iterator[bytes]:
     yield _line(COLUMNS)
     for row in rows:
         cells = _cells(row, opening)
@@ -135,7 +135,7 @@ def cell(value: Any) -> str:
     return f"'{shown}" if text.startswith(_FORMULA) and text != "-" else shown
 
 
-def _cells(row: LogRow, opening: LogOpening) -> dict[str, Any]:
+def _cells(row: LogRow, opening: LogUnsealer) -> dict[str, Any]:
     where = f"record {row.seq}"
     record = read_record(row.record, where=where)
     values = {name: item.value for name, item in read_sealed(row.sealed, where=where).items()}

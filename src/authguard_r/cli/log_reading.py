@@ -13,13 +13,13 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from authguard_r.cli.logs import ReadableLog, open_log
-from authguard_r.cli.unsealing import LogOpening
+from authguard_r.cli.unsealing import LogUnsealer
 from authguard_r.core.errors import MalformedError, StoreError
 from authguard_r.core.reasons import Reason
 
 
 @contextmanager
-def reading(store: Path, opening: LogOpening | None = None) -> Iterator[ReadableLog]:
+def reading(store: Path, opening: LogUnsealer | None = None) -> Iterator[ReadableLog]:
     """Yield a log to read once.
 
     Args:

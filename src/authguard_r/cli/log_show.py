@@ -19,7 +19,7 @@ from authguard_r.cli.inputs import JsonFlag, wall_now
 from authguard_r.cli.listing import Listing, listing
 from authguard_r.cli.log_reading import reading
 from authguard_r.cli.signing_key import PassphraseFile
-from authguard_r.cli.unsealing import LogOpening, ReaderOption, opening_of
+from authguard_r.cli.unsealing import LogUnsealer, ReaderOption, unsealer_of
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
@@ -201,14 +201,14 @@ def show_command(
         first=first,
         last=last,
     )
-    opening = opening_of(reader, passphrase_file)
+    opening = unsealer_of(reader, passphrase_file)
     with listing("records", as_json=as_json) as out, reading(store, opening) as log:
         shown = _shown(log.rows, wanted, out, opening)
         out.end({}, [] if shown else ["no records"])
     return 0
 
 
-def _shown(rows: Iterator[LogRow], wanted: RecordFilter, out: Listing, opening: LogOpening) -> int:
+def _shown(rows: Iterator[LogRow], wanted: RecordFilter, out: Listing, opening: LogUnsealer) -> int:
     """Print each record that is wanted; return how many."""
     count = 0
 

@@ -22,7 +22,7 @@ from authguard_r.cli.log_anchors import AnchorOptions, KnownLog, known_of
 from authguard_r.cli.log_reading import reading
 from authguard_r.cli.logs import ReadableLog
 from authguard_r.cli.signing_key import PassphraseFile
-from authguard_r.cli.unsealing import EnvelopeCheck, ReaderOption, opening_of
+from authguard_r.cli.unsealing import EnvelopeCheck, ReaderOption, unsealer_of
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.quantities import to_timestamp
@@ -106,7 +106,7 @@ def verify_command(
         quorum=quorum or len(witness or ()),
         trust=trust,
     )
-    held = EnvelopeCheck(opening_of(reader, passphrase_file))
+    held = EnvelopeCheck(unsealer_of(reader, passphrase_file))
     with reading(store) as log:
         known = known_of(asked, log.notes)
         # beside a gate that drives a robot, it leaves the processors to the gate

@@ -110,7 +110,7 @@ def status_lines(status: dict[str, Any]) -> list[str]:
     refused, log = status.get("refusals"), status.get("log") or {}
     lines += [f"refused: {_flat(refused)}"] if refused else []
     lines += _disk_lines(status.get("disk"))
-    lines += _lane_lines(status.get("lane"))
+    lines += _stop_process_lines(status.get("lane"))
     lines += _anchor_lines(status.get("anchor"))
     lines.append(f"stops: {status.get('stops')}; log: {log.get('size')} records")
     return lines
@@ -211,7 +211,7 @@ def _disk_lines(disk: Any) -> list[str]:
     return [f"disk: {free >> 20} MiB free, {kept >> 20} MiB kept back"]
 
 
-def _lane_lines(lane: Any) -> list[str]:
+def _stop_process_lines(lane: Any) -> list[str]:
     """Return whether a stop would be heard by the stop process, for people."""
     if not isinstance(lane, dict):
         return []

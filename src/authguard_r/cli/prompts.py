@@ -16,7 +16,7 @@ from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.log_reading import strange
 from authguard_r.cli.logs import ReadableLog, open_log
 from authguard_r.cli.signing_key import PassphraseFile
-from authguard_r.cli.unsealing import ReaderOption, opening_of
+from authguard_r.cli.unsealing import ReaderOption, unsealer_of
 from authguard_r.core.encoding import decode
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.standing import Standing
@@ -31,7 +31,7 @@ def prompts_command(
     as_json: JsonFlag = False,
 ) -> int:
     """Say how often people were asked: signatures, approval requests and choices, per mission."""
-    opening = opening_of(reader, passphrase_file)
+    opening = unsealer_of(reader, passphrase_file)
     with strange(), open_log(store) as log:
         rows = list(opening.rows(log.rows))
     records = [read_record(row.record, where=f"record {row.seq}") for row in rows]

@@ -29,7 +29,7 @@ from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.listing import Listing, listing
 from authguard_r.cli.log_reading import reading
 from authguard_r.cli.signing_key import PassphraseFile
-from authguard_r.cli.unsealing import LogOpening, ReaderOption, opening_of
+from authguard_r.cli.unsealing import LogUnsealer, ReaderOption, unsealer_of
 from authguard_r.core.errors import AuthenticityError, MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.trust import Trust, read_trust
@@ -235,7 +235,7 @@ def recorded(record: Record) -> dict[str, Any]:
 
 
 def replayed(
-    rows: Iterable[LogRow], replay: LogReplay, out: Listing, opening: LogOpening | None = None
+    rows: Iterable[LogRow], replay: LogReplay, out: Listing, opening: LogUnsealer | None = None
 ) -> Verification:
     """Verify a log and replay it in one pass; each difference is reported as it is found.
 
@@ -247,7 +247,7 @@ def replayed(
         out: where differences go.
         opening: what opens its rows; None for a reader without a key.
     """
-    open_row = (opening or LogOpening()).opened
+    open_row = (opening or LogUnsealer()).opened
 
     def followed() -> Iterator[LogRow]:
         for row in rows:
@@ -284,7 +284,7 @@ def replay_command(
     values which no order in it has destroyed.
     """
     anchor = None if trust is None else read_trust(trust)
-    replay, opening = LogReplay(anchor, first=first), opening_of(reader, passphrase_file)
+    replay, opening = LogReplay(anchor, first=first), unsealer_of(reader, passphrase_file)
     with listing("differences", as_json=as_json) as out, reading(store) as log:
         found = replayed(log.rows, replay, out, opening)
         told_by = None if log.gate is None else log.gate.pid

@@ -23,7 +23,7 @@ from authguard_r.wire.messages import Mode
 if TYPE_CHECKING:
     from OpenSSL.SSL import Context
 
-    from authguard_r.integrations.http.clients import Doorkeeper
+    from authguard_r.integrations.http.clients import Authenticator
 
 
 _RobotOption = Annotated[str | None, typer.Option("--robot", help="Whose gate it is.")]
@@ -106,7 +106,7 @@ def serve_command(
         raise typer.BadParameter(text, param_hint="--propose")
     _require_tls(tls_cert, tls_key, certificates=client_certificates, roles=client_role)
     roles = frozenset(client_role or ()) if client_certificates else None
-    doorkeeper = _doorkeeper(bearer, trust, RobotId(robot), roles)
+    authenticator = _authenticator(bearer, trust, RobotId(robot), roles)
     read_trust(trust)  # what is missing is said now; each connection reads it anew
     context = _tls(tls_cert, tls_key, client_certificates=client_certificates)
     otherwise = "for a wider one give --tls-cert and --tls-key"
@@ -119,7 +119,7 @@ def serve_command(
                 client=client,
                 mode=Mode.SHADOW if shadow else Mode.ENFORCE,
             ),
-            doorkeeper=doorkeeper,
+            authenticator=authenticator,
             url=_where(made, listen, url, has_tls=context is not None),
             hosts=_hosts(made) if context is None else None,
             tls=context,
@@ -144,11 +144,11 @@ def _require_tls(
         raise typer.BadParameter("only with --client-certificates", param_hint="--client-role")
 
 
-def _doorkeeper(
+def _authenticator(
     bearer: Path | None, trust: Path, robot: RobotId, roles: frozenset[Role] | None
-) -> Doorkeeper:
+) -> Authenticator:
     """Return who says who may ask: by a token, by certificates, or by both."""
-    from authguard_r.integrations.http.clients import ROLES, Certificates, Doorkeeper
+    from authguard_r.integrations.http.clients import ROLES, Authenticator, Certificates
     from authguard_r.integrations.http_listener.access import read_bearer
 
     if bearer is None and roles is None:
@@ -162,7 +162,7 @@ def _doorkeeper(
     if roles is not None:
         held = Certificates(read, robot, roles or ROLES, wall_now)
         held.require_usable()
-    return Doorkeeper(None if bearer is None else read_bearer(bearer), held)
+    return Authenticator(None if bearer is None else read_bearer(bearer), held)
 
 
 def _tls(cert: Path | None, key: Path | None, *, client_certificates: bool) -> Context | None:

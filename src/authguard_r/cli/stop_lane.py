@@ -28,7 +28,7 @@ def stop_lane_command(
     Trust, key and configuration are read once: a change of them takes a new lane.
     """
     from authguard_r.estop.files import EStopFiles
-    from authguard_r.estop.startup import EStopReady, run_lane
+    from authguard_r.estop.startup import EStopReady, run_stop_process
 
     def say(ready: EStopReady) -> None:
         line = f"{ready.socket}: stops are served for {ready.robot} (pid {ready.pid})"
@@ -37,5 +37,5 @@ def stop_lane_command(
     files = EStopFiles(
         run=run, robot=RobotId(robot), trust=trust, key=key, cert=cert, config=config
     )
-    run_lane(files, say)
+    run_stop_process(files, say)
     return 0

@@ -35,7 +35,7 @@ ReaderOption = Annotated[
 ]
 
 
-class LogOpening:
+class LogUnsealer:
     """The readable parts of a log, row by row from its beginning on.
 
     Args:
@@ -113,7 +113,7 @@ class EnvelopeCheck:
         opening: of the reader.
     """
 
-    def __init__(self, opening: LogOpening) -> None:
+    def __init__(self, opening: LogUnsealer) -> None:
         self.opening = opening
         self.opened = 0
         self.closed = 0
@@ -170,7 +170,7 @@ class EnvelopeCheck:
             self.closed += len(_boxes(told))
 
 
-def opening_of(reader: Path | None, passphrase_file: Path | None) -> LogOpening:
+def unsealer_of(reader: Path | None, passphrase_file: Path | None) -> LogUnsealer:
     """Return what a command opens a log with.
 
     Raises:
@@ -179,10 +179,10 @@ def opening_of(reader: Path | None, passphrase_file: Path | None) -> LogOpening:
         AuthenticityError: the passphrase is wrong, or it holds no key of a reader.
     """
     if reader is not None:
-        return LogOpening(read_reader(reader, passphrase_of(passphrase_file)))
+        return LogUnsealer(read_reader(reader, passphrase_of(passphrase_file)))
     if passphrase_file is not None:
         raise typer.BadParameter("it opens no key without --reader", param_hint="--passphrase-file")
-    return LogOpening()
+    return LogUnsealer()
 
 
 def _is_wrap(name: str) -> bool:

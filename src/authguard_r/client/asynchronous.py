@@ -17,7 +17,7 @@ from typing import Any, Self
 import msgspec
 
 from authguard_r.client.approvals import asking, read_questions, signed_answer, the_one
-from authguard_r.client.handshake import GateVerifier, Greeting, Speaks
+from authguard_r.client.handshake import GateVerifier, Handshake, Speaks
 from authguard_r.client.line import SessionLine
 from authguard_r.client.session import OnEvent, SentRequest, answer_of, done_of, unreachable
 from authguard_r.client.start import TIMEOUT_MS, begin, fresh, late, unanswered
@@ -81,7 +81,7 @@ class AsyncGateClient:
 
         `speaks`: the words that the gate has to speak; None takes any.
         """
-        greeting = Greeting(
+        handshake = Handshake(
             role=role,
             client=client if client is not None else str(role),
             verifier=verifier,
@@ -90,7 +90,7 @@ class AsyncGateClient:
             speaks=speaks,
         )
         wire = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        made = cls(SessionLine(begin(greeting), wire), path=path, timeout_ms=timeout_ms)
+        made = cls(SessionLine(begin(handshake), wire), path=path, timeout_ms=timeout_ms)
         try:
             async with asyncio.timeout(timeout_ms / 1_000):
                 await made._open(wire)

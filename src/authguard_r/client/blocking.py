@@ -16,7 +16,7 @@ from typing import Any, Self
 
 from authguard_r.client.approvals import asking, read_questions, signed_answer, the_one
 from authguard_r.client.blocking_stop import OwnLine, stop_now
-from authguard_r.client.handshake import GateVerifier, Greeting
+from authguard_r.client.handshake import GateVerifier, Handshake
 from authguard_r.client.session import ClientSession, SentRequest, answer_of, done_of, unreachable
 from authguard_r.client.start import CHUNK, TIMEOUT_MS, begin, fresh, late, unanswered
 from authguard_r.core.approval import ApprovalVerdict
@@ -97,7 +97,7 @@ class GateClient:
             RefusedError: the gate is in shadow mode.
             MalformedError: what answers is no gate.
         """
-        greeting = Greeting(
+        handshake = Handshake(
             role=role,
             client=client if client is not None else str(role),
             verifier=verifier,
@@ -105,7 +105,7 @@ class GateClient:
             allow_shadow=allow_shadow,
         )
         line = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        made = cls(line, begin(greeting), path=path, timeout_ms=timeout_ms)
+        made = cls(line, begin(handshake), path=path, timeout_ms=timeout_ms)
         try:
             made._open()
         except BaseException:

@@ -151,7 +151,7 @@ class _Run(Struct, frozen=True, kw_only=True):
 
     Args:
         order: as it was dispatched.
-        flight: what the body makes of it.
+        handle: what the body makes of it.
         begun_ms: when it began.
         renewed_ms: when the gate was last heard of it.
         sampled_ms: when the last sample came; None before the first.
@@ -159,7 +159,7 @@ class _Run(Struct, frozen=True, kw_only=True):
     """
 
     order: Dispatch
-    flight: GoalHandle
+    handle: GoalHandle
     begun_ms: int
     renewed_ms: int
     sampled_ms: int | None = None
@@ -173,7 +173,7 @@ class _Late(Struct, frozen=True):
     sent: OutgoingMessage
 
 
-class ControllerDesk:
+class ControllerSession:
     """The controller of one robot; every method returns what is to be sent.
 
     A stop is for the whole robot: every running action ends with it. `stops` counts the stops that
@@ -300,11 +300,11 @@ class ControllerDesk:
         if self._runs and not self.body.has_room(order.action):
             return Reason.BUSY
         try:
-            flight = self.body.begin(order.action, order.ticket)
+            handle = self.body.begin(order.action, order.ticket)
         except ControllerError:
             return Reason.CONTROLLER_FAILED
         now = self._now_ms
-        self._runs[order.ticket] = _Run(order=order, flight=flight, begun_ms=now, renewed_ms=now)
+        self._runs[order.ticket] = _Run(order=order, handle=handle, begun_ms=now, renewed_ms=now)
         return ""
 
     def _renew(self, _channel: MessageSource, frame: Frame) -> None:
@@ -384,7 +384,7 @@ class ControllerDesk:
     def _settle(self) -> None:
         """Tell how actions ended, then that the robot stands."""
         for ticket, run in tuple(self._runs.items()):
-            outcome = run.flight.outcome()
+            outcome = run.handle.outcome()
             if outcome is not None:
                 del self._runs[ticket]
                 self._tell_ended(run, _ended(run, outcome))
@@ -397,7 +397,7 @@ class ControllerDesk:
         self._ended[ended.ticket] = ended
         if len(self._ended) > KEPT:
             del self._ended[next(iter(self._ended))]
-        told = run.flight.told() if isinstance(run.flight, ReportingHandle) else None
+        told = run.handle.told() if isinstance(run.handle, ReportingHandle) else None
         if told is not None:
             result = Result(ticket=ended.ticket, content=told.content, texts=told.texts)
             self._say(MessageSource.GATE, Kind.RESULT, result)
@@ -442,4 +442,4 @@ def _ended(run: _Run, outcome: Outcome) -> Ended:
         why = ""
     elif not why:
         why = Reason.CONTROLLER_FAILED
-    return Ended(ticket=run.order.ticket, outcome=outcome, used=run.flight.used(), why=why)
+    return Ended(ticket=run.order.ticket, outcome=outcome, used=run.handle.used(), why=why)

@@ -11,7 +11,7 @@ import secrets
 from collections.abc import Callable
 from pathlib import Path
 
-from authguard_r.client.controller import Body, ControllerDesk, MessageSource, OutgoingMessage
+from authguard_r.client.controller import Body, ControllerSession, MessageSource, OutgoingMessage
 from authguard_r.client.handshake import GateVerifier, Speaks
 from authguard_r.client.link import PersistentConnection, ProcessLog, mono_ms
 from authguard_r.client.proof import Proven
@@ -60,7 +60,7 @@ class Driver:
     ) -> None:
         # not a time: a clock that was set back must not make a number of before
         life = secrets.randbelow(MAX_INTEGER) + 1
-        self.desk = ControllerDesk(body, life=life, now_ms=mono_ms())
+        self.session = ControllerSession(body, life=life, now_ms=mono_ms())
         self._ready: Callable[[], None] | None = ready
         self._callers = {
             channel: PersistentConnection(
@@ -89,7 +89,7 @@ class Driver:
 
     def look(self) -> None:
         """Look at the body now: something of it has ended."""
-        self.send(self.desk.tick(mono_ms()))
+        self.send(self.session.tick(mono_ms()))
 
     def send(self, messages: tuple[OutgoingMessage, ...]) -> None:
         """Send the frames that the controller's state machine wants to send."""
@@ -117,14 +117,14 @@ class _Ear:
 
     def opened(self, proven: Proven) -> None:
         driver = self._driver
-        driver.send(driver.desk.opened(self._channel, proven, mono_ms()))
+        driver.send(driver.session.opened(self._channel, proven, mono_ms()))
         if self._channel is MessageSource.GATE:
             driver.is_ready()
 
     def heard(self, item: Frame) -> None:
         driver = self._driver
-        driver.send(driver.desk.handle(self._channel, item, mono_ms()))
+        driver.send(driver.session.handle(self._channel, item, mono_ms()))
 
     def closed(self) -> None:
         driver = self._driver
-        driver.send(driver.desk.closed(self._channel, mono_ms()))
+        driver.send(driver.session.closed(self._channel, mono_ms()))

@@ -50,7 +50,7 @@ class Speaks(Struct, frozen=True, kw_only=True):
     binding: Digest
 
 
-class Greeting(Struct, frozen=True, kw_only=True):
+class Handshake(Struct, frozen=True, kw_only=True):
     """What a client says first and what it demands of the answer.
 
     Args:
@@ -71,27 +71,27 @@ class Greeting(Struct, frozen=True, kw_only=True):
     speaks: Speaks | None = None
 
 
-def hello(greeting: Greeting, nonce: str) -> Hello:
+def hello(handshake: Handshake, nonce: str) -> Hello:
     """Return the first message.
 
     Args:
-        greeting: who asks.
+        handshake: who asks.
         nonce: fresh random bytes, base64url; sent only when a verifier checks the proof.
     """
     return Hello(
         protocol=PROTOCOL,
-        role=greeting.role,
-        client=greeting.client,
-        nonce=nonce if greeting.verifier is not None else None,
+        role=handshake.role,
+        client=handshake.client,
+        nonce=nonce if handshake.verifier is not None else None,
     )
 
 
-def require_welcome(welcome: Welcome, greeting: Greeting, *, nonce: str, now: Now) -> None:
+def require_welcome(welcome: Welcome, handshake: Handshake, *, nonce: str, now: Now) -> None:
     """Require the answer that was asked for, from the gate that was meant.
 
     Args:
         welcome: from the peer, not verified yet.
-        greeting: what was said and is demanded.
+        handshake: what was said and is demanded.
         nonce: the one that was sent.
         now: the instant at which the gate's certificate must be valid.
 
@@ -101,20 +101,20 @@ def require_welcome(welcome: Welcome, greeting: Greeting, *, nonce: str, now: No
         RefusedError: the gate is in shadow mode, or speaks other words.
     """
     said = (welcome.protocol, welcome.role, welcome.client)
-    if said != (PROTOCOL, greeting.role, greeting.client):
+    if said != (PROTOCOL, handshake.role, handshake.client):
         raise MalformedError("expected the welcome of this very hello", where="welcome")
-    if greeting.robot is not None and welcome.robot != greeting.robot:
-        raise _foreign(f"expected the gate of `{greeting.robot}`, got `{welcome.robot}`'s")
-    if greeting.verifier is not None:
-        _require_proof(welcome, greeting.verifier, nonce=nonce, now=now)
-    if welcome.mode is Mode.SHADOW and greeting.role in _ENFORCED and not greeting.allow_shadow:
+    if handshake.robot is not None and welcome.robot != handshake.robot:
+        raise _foreign(f"expected the gate of `{handshake.robot}`, got `{welcome.robot}`'s")
+    if handshake.verifier is not None:
+        _require_proof(welcome, handshake.verifier, nonce=nonce, now=now)
+    if welcome.mode is Mode.SHADOW and handshake.role in _ENFORCED and not handshake.allow_shadow:
         raise RefusedError(
             "the gate is in shadow mode: it records what it would decide and releases nothing",
             reason=Reason.TRANSITION_REFUSED,
             where="welcome.mode",
         )
-    if greeting.speaks is not None:
-        _require_words(welcome, greeting.speaks)
+    if handshake.speaks is not None:
+        _require_words(welcome, handshake.speaks)
 
 
 def _require_words(welcome: Welcome, speaks: Speaks) -> None:

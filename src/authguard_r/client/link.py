@@ -17,7 +17,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Protocol
 
-from authguard_r.client.handshake import GateVerifier, Greeting, Speaks
+from authguard_r.client.handshake import GateVerifier, Handshake, Speaks
 from authguard_r.client.proof import Conversation, Proven
 from authguard_r.core.encoding import b64
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault, shown
@@ -262,7 +262,7 @@ class PersistentConnection:
         return link.is_proven
 
     def _new_link(self) -> ProvenConnection:
-        greeting = Greeting(
+        handshake = Handshake(
             role=self._role,
             client=self._client,
             verifier=self._trust(),
@@ -271,7 +271,7 @@ class PersistentConnection:
             speaks=self._speaks,
         )
         conversation = Conversation(
-            greeting, nonce=b64(os.urandom(32)), bounds=self._bounds, now=wall_now
+            handshake, nonce=b64(os.urandom(32)), bounds=self._bounds, now=wall_now
         )
         link = ProvenConnection(
             self._path.name, conversation, listener=self._listener, log=self._log
@@ -296,7 +296,7 @@ async def run_all(
         await asyncio.gather(waiting, *running, return_exceptions=True)
 
 
-async def until_told(serve: Callable[[asyncio.Event], Awaitable[None]]) -> None:
+async def until_signal(serve: Callable[[asyncio.Event], Awaitable[None]]) -> None:
     """Run a process's work until SIGTERM or SIGINT."""
     told = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from msgspec import Struct
 
-from authguard_r.client.handshake import Greeting, hello, require_welcome
+from authguard_r.client.handshake import Handshake, hello, require_welcome
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.quantities import Now
 from authguard_r.wire.faults import from_fault
@@ -27,7 +27,7 @@ class Proven(Struct, frozen=True):
     welcome: Welcome
 
 
-def prove(item: Frame, greeting: Greeting, *, nonce: str, now: Now) -> Proven:
+def prove(item: Frame, handshake: Handshake, *, nonce: str, now: Now) -> Proven:
     """Return the proof in a server's first message.
 
     Raises:
@@ -35,14 +35,14 @@ def prove(item: Frame, greeting: Greeting, *, nonce: str, now: Now) -> Proven:
         AuthenticityError: the proof does not hold, or is another robot's.
         AuthGuardError: the server refused the hello; its own reason.
     """
-    if greeting.verifier is None or greeting.robot is None:
+    if handshake.verifier is None or handshake.robot is None:
         raise RuntimeError("a proof was asked for that nobody can check")
     if item.kind is Kind.ERROR:
         raise from_fault(read_body(item.body, Fault))
     if item.kind is not Kind.WELCOME:
         raise MalformedError("expected a welcome", where="frame.kind")
     welcome = read_body(item.body, Welcome)
-    require_welcome(welcome, greeting, nonce=nonce, now=now)
+    require_welcome(welcome, handshake, nonce=nonce, now=now)
     return Proven(welcome)
 
 
@@ -52,7 +52,7 @@ class Conversation:
     `proven` is None until the server has proved itself; until then no frame comes out.
 
     Args:
-        greeting: who the client is and whose gate it must be.
+        handshake: who the client is and whose gate it must be.
         nonce: fresh random bytes, base64url.
         bounds: the longest body of each kind that may come after the welcome.
         now: reads the clock, for the gate's certificate.
@@ -60,14 +60,14 @@ class Conversation:
 
     def __init__(
         self,
-        greeting: Greeting,
+        handshake: Handshake,
         *,
         nonce: str,
         bounds: dict[Kind, int],
         now: Callable[[], Now],
     ) -> None:
         self.proven: Proven | None = None
-        self._greeting = greeting
+        self._handshake = handshake
         self._nonce = nonce
         self._bounds = {int(kind): most for kind, most in bounds.items()}
         self._now = now
@@ -75,7 +75,7 @@ class Conversation:
 
     def hello(self) -> bytes:
         """Return the first message's bytes."""
-        return frame(Kind.HELLO, 0, hello(self._greeting, self._nonce))
+        return frame(Kind.HELLO, 0, hello(self._handshake, self._nonce))
 
     def receive(self, data: bytes) -> list[Frame]:
         """Return what a proven server said.
@@ -85,7 +85,7 @@ class Conversation:
         """
         frames = self._reader.feed(data)
         if self.proven is None and frames:
-            self.proven = prove(frames.pop(0), self._greeting, nonce=self._nonce, now=self._now())
+            self.proven = prove(frames.pop(0), self._handshake, nonce=self._nonce, now=self._now())
         return frames
 
     def _bound(self, kind: int) -> int:

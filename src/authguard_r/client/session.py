@@ -15,7 +15,7 @@ from typing import Any
 import msgspec
 from msgspec import Struct
 
-from authguard_r.client.handshake import Greeting, hello, require_welcome
+from authguard_r.client.handshake import Handshake, hello, require_welcome
 from authguard_r.core.errors import (
     AuthenticityError,
     AuthGuardError,
@@ -76,21 +76,21 @@ class _Exchange:
 class ClientSession:
     """The client's side of one connection.
 
-    `greeting` is what it says and demands first; `welcome` is the gate's, once it is verified;
+    `handshake` is what it says and demands first; `welcome` is the gate's, once it is verified;
     `broken` is why nothing goes on.
 
     Args:
-        greeting: who the client is and what it demands of the gate.
+        handshake: who the client is and what it demands of the gate.
         nonce: fresh random bytes, base64url.
         now: reads the clock, for the gate's certificate.
     """
 
-    def __init__(self, greeting: Greeting, *, nonce: str, now: Callable[[], Now]) -> None:
+    def __init__(self, handshake: Handshake, *, nonce: str, now: Callable[[], Now]) -> None:
         self.welcome: Welcome | None = None
         self.broken: AuthGuardError | None = None
         #: Estimators: the gate's newest fence that has come; 0 before the first.
         self.fence = 0
-        self.greeting = greeting
+        self.handshake = handshake
         self._nonce = nonce
         self._now = now
         self._reader = FrameReader(self._bound)
@@ -102,7 +102,7 @@ class ClientSession:
 
     def hello(self) -> bytes:
         """Return the first message's bytes."""
-        return frame(Kind.HELLO, 0, hello(self.greeting, self._nonce))
+        return frame(Kind.HELLO, 0, hello(self.handshake, self._nonce))
 
     def request(self, kind: Kind, message: object, *, stays: bool = False) -> SentRequest:
         """Return a request to send; its answer is taken by its number.
@@ -204,7 +204,7 @@ class ClientSession:
 
     def _sent(self, kind: Kind, message: object, number: int | None = None) -> SentRequest:
         self.require_open()
-        role = self.greeting.role
+        role = self.handshake.role
         if kind not in MAY[role]:
             raise AuthenticityError(
                 f"a client in the role `{role}` may not ask `{kind.name.lower()}`",
@@ -225,7 +225,7 @@ class ClientSession:
     def _bound(self, kind: int) -> int:
         """Return the longest body of what a gate may send to this role."""
         if kind in PUSHED:
-            return _SHORT if self.greeting.role is ClientRole.CONTROLLER else 0
+            return _SHORT if self.handshake.role is ClientRole.CONTROLLER else 0
         return MAX_ANSWER if kind == Kind.EVENT else _ANSWERS.get(kind, 0)  # type: ignore[call-overload]
 
     def _route(self, item: Frame) -> None:
@@ -248,16 +248,16 @@ class ClientSession:
         if item.kind is not Kind.WELCOME:
             raise MalformedError(f"expected a welcome, got {item.kind.name}", where="frame.kind")
         welcome = read_body(item.body, Welcome)
-        require_welcome(welcome, self.greeting, nonce=self._nonce, now=self._now())
+        require_welcome(welcome, self.handshake, nonce=self._nonce, now=self._now())
         self.welcome = welcome
 
     @property
     def _is_estimator(self) -> bool:
-        return self.greeting.role is ClientRole.ESTIMATOR
+        return self.handshake.role is ClientRole.ESTIMATOR
 
     def _is_told(self, item: Frame) -> bool:
         """True for an event without a request: only machines take such."""
-        return item.kind is Kind.EVENT and item.id == 0 and self.greeting.role in _TOLD
+        return item.kind is Kind.EVENT and item.id == 0 and self.handshake.role in _TOLD
 
     def _answer(self, item: Frame) -> None:
         exchange = self._exchanges.get(item.id)

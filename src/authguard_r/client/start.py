@@ -10,7 +10,7 @@ import os
 from pathlib import Path
 from time import time_ns
 
-from authguard_r.client.handshake import Greeting
+from authguard_r.client.handshake import Handshake
 from authguard_r.client.session import ClientSession, unreachable
 from authguard_r.core.encoding import b64
 from authguard_r.core.errors import EnvironmentFault
@@ -29,9 +29,9 @@ _MENDS: dict[type[Exception], str] = {
 }
 
 
-def begin(greeting: Greeting) -> ClientSession:
+def begin(handshake: Handshake) -> ClientSession:
     """Return the session of a new connection."""
-    return ClientSession(greeting, nonce=fresh(), now=_wall)
+    return ClientSession(handshake, nonce=fresh(), now=_wall)
 
 
 def fresh() -> str:

@@ -20,7 +20,7 @@ import msgspec
 from msgspec import Struct
 from msgspec.structs import replace
 
-from authguard_r.client.handshake import GateVerifier, Greeting
+from authguard_r.client.handshake import GateVerifier, Handshake
 from authguard_r.client.line import SessionLine
 from authguard_r.client.session import ClientSession, answer_of, unreachable
 from authguard_r.client.start import begin, fresh, late, unanswered
@@ -260,14 +260,14 @@ class StopEverywhere:
             AuthGuardError: the connection failed, or the part is not the one that was meant.
         """
         name = self._client if self._client is not None else str(role)
-        greeting = Greeting(
+        handshake = Handshake(
             role=role,
             client=Identifier(name),
             verifier=self._verifier,
             robot=self._robot,
             allow_shadow=True,  # a stop counts for every driver of the robot
         )
-        session = begin(greeting)
+        session = begin(handshake)
         try:
             wire = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         except OSError as error:  # no file is left: one may be soon
@@ -302,13 +302,13 @@ def stop_of(path: Path, session: ClientSession, ask: Ask, why: str) -> StopEvery
         ask: sends the stop over it.
         why: for the log; decides nothing.
     """
-    greeting, welcome = session.greeting, session.welcome
+    handshake, welcome = session.handshake, session.welcome
     return StopEverywhere(
         path.parent,
-        roles=(greeting.role,),
+        roles=(handshake.role,),
         why=why,
-        client=greeting.client,
-        verifier=greeting.verifier,
+        client=handshake.client,
+        verifier=handshake.verifier,
         robot=None if welcome is None else welcome.robot,
         own={StopPath.LANE if path.name == StopPath.LANE else StopPath.GATE: ask},
     )

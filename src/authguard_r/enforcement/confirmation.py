@@ -130,11 +130,7 @@ def read_confirmation(data: bytes, *, mission: Mission) -> Confirmation:
     if list(found.accepted) != sorted(set(found.accepted)):
         raise MalformedError("expected a sorted set", where="confirmation.accepted")
     if found != confirm(
-        mission,
-        card=found.card,
-        how=found.how,
-        accepted=found.accepted,
-        now=Now(found.at_ms, 0),
+        mission, card=found.card, how=found.how, accepted=found.accepted, now=Now(found.at_ms, 0)
     ):
         raise RefusedError(
             f"expected the confirmation of `{mission.mid}` version {mission.version}, as signed",

@@ -109,7 +109,7 @@ class EmergencyEnforcer:
 
     Args:
         ledger: store and clock; either may be missing.
-        intake: the newest attested state.
+        inputs: the newest attested state.
         opened: the policy, verified.
         verifier: says whether its signer was revoked since.
         facts: the signed site and the gate's identity.
@@ -121,7 +121,7 @@ class EmergencyEnforcer:
     def __init__(
         self,
         ledger: Ledger,
-        intake: InputVerifier,
+        inputs: InputVerifier,
         *,
         opened: OpenedPolicy,
         verifier: Verifier,
@@ -131,7 +131,7 @@ class EmergencyEnforcer:
         log: EmergencyAudit,
     ) -> None:
         self._ledger = ledger
-        self._intake = intake
+        self._inputs = inputs
         self.opened = opened
         self._verifier = verifier
         self._facts = facts
@@ -140,7 +140,7 @@ class EmergencyEnforcer:
         self.log = log
         self._count = 0
         capabilities = opened.policy.capabilities
-        intake.outlasts_clock = any(Missing.CLOCK in c.without for c in capabilities)
+        inputs.outlasts_clock = any(Missing.CLOCK in c.without for c in capabilities)
 
     def of_gate(self) -> tuple[Identifier, ...]:
         """Return what the gate itself calls as soon as its guards hold."""
@@ -211,8 +211,8 @@ class EmergencyEnforcer:
         findings = self.look(capability, lease, stands=True)
         if not findings:
             try:
-                flight = self.watch.controller.dispatch(action, lease)
-                return EmergencyExecution(self, call, lease=lease, flight=flight)
+                handle = self.watch.controller.dispatch(action, lease)
+                return EmergencyExecution(self, call, lease=lease, handle=handle)
             except ControllerError as error:
                 findings = (fault_finding(error),)
         return self.ended(call, lease.ticket, Outcome.NOT_STARTED, findings)
@@ -268,8 +268,8 @@ class EmergencyEnforcer:
             hazards=[hazard.hazard for hazard in hazards],
             sealed={"capability": call.name[:64], "findings": findings},
         )
-        fold = (call.by, str(first.reason), "emergency")
-        quietly(lambda: self._ledger.refuse(entry, fold=fold))
+        dedup_key = (call.by, str(first.reason), "emergency")
+        quietly(lambda: self._ledger.refuse(entry, dedup_key=dedup_key))
 
     def _revoked(self) -> Findings:
         """Return that the policy's signer was revoked since it was opened, if that is so."""
@@ -281,8 +281,8 @@ class EmergencyEnforcer:
 
     def _state(self, *, stands: bool) -> AttestedState | None:
         """Return the newest attested state; what cannot be taken in now leaves the last."""
-        quietly(self._intake.refresh)
-        return self._intake.state if stands else self._intake.newest
+        quietly(self._inputs.refresh)
+        return self._inputs.state if stands else self._inputs.newest
 
     def _lacks(self, asked: frozenset[Missing]) -> frozenset[Missing]:
         """Return what is missing; that the store is, shows when it is written to."""
@@ -326,11 +326,11 @@ class EmergencyExecution:
         rescue: looks, stops, writes.
         call: what was accepted.
         lease: what it permits.
-        flight: what the controller says of it.
+        handle: what the controller says of it.
     """
 
     def __init__(
-        self, rescue: EmergencyEnforcer, call: JudgedEmergency, *, lease: Lease, flight: GoalHandle
+        self, rescue: EmergencyEnforcer, call: JudgedEmergency, *, lease: Lease, handle: GoalHandle
     ) -> None:
         capability = call.decision.capability
         if capability is None or call.action is None:  # pragma: no cover - it was accepted
@@ -341,7 +341,7 @@ class EmergencyExecution:
         self.action = call.action
         self.since_ms = rescue.watch.mono_ms()
         self._course = ExecutionMonitor(
-            rescue.watch, flight, lambda: rescue.look(capability, lease)
+            rescue.watch, handle, lambda: rescue.look(capability, lease)
         )
 
     @property

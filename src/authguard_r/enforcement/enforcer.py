@@ -39,10 +39,10 @@ from authguard_r.enforcement.completion import (
 )
 from authguard_r.enforcement.inputs import InputVerifier
 from authguard_r.enforcement.leases import (
-    Keep,
+    CommitHook,
     LeaseMonitor,
     Running,
-    keep_nothing,
+    no_commit_hook,
     quietly,
     require_judged,
 )
@@ -60,7 +60,7 @@ class Enforcer:
 
     Args:
         ledger: store and trusted time.
-        intake: what may enter: state, missions, approvals, each verified.
+        inputs: what may enter: state, missions, approvals, each verified.
         facts: the signed site and the gate's own identity.
         safety: the second gate.
         watch: alone holds the actuators, and checks open leases.
@@ -71,7 +71,7 @@ class Enforcer:
     def __init__(
         self,
         ledger: Ledger,
-        intake: InputVerifier,
+        inputs: InputVerifier,
         *,
         facts: SiteFacts,
         safety: SafetyGate,
@@ -80,11 +80,11 @@ class Enforcer:
         first: Callable[[], object] | None = None,
     ) -> None:
         self._ledger = ledger
-        self.intake = intake
+        self.inputs = inputs
         self._facts = facts
         self._safety = safety
         self._watch = watch
-        self.stopping = RecordedStops(ledger, intake)
+        self.stopping = RecordedStops(ledger, inputs)
         self._clock = clock
         self._conditions = [] if first is None else [first]
 
@@ -129,7 +129,7 @@ class Enforcer:
         planner: Identifier,
         evidence: Digest,
         context: ContextLedger,
-        keep: Keep = keep_nothing,
+        on_commit: CommitHook = no_commit_hook,
         inputs: Mapping[str, Any] | None = None,
         repair: bool = False,
     ) -> Report | Running:
@@ -143,7 +143,7 @@ class Enforcer:
             planner: the client that proposed, named by the caller's channel.
             evidence: digest of the planner's bytes.
             context: what the planner could have seen.
-            keep: holds something beside what the decision and the outcome change.
+            on_commit: holds something beside what the decision and the outcome change.
             inputs: what to seal beside a refusal that has no decision.
             repair: when the safety gate alone refuses the step and offers a repair, decide the
                 repair too, once, in the same transaction. Its report names the refused one in
@@ -158,13 +158,13 @@ class Enforcer:
             judge = partial(self._judge, act, planner=planner, evidence=evidence, base=base)
             report = Report(judged=judge(step), influences=influences)  # 2 to 4
             report = repaired_report(report, step, judge, context) if repair else report
-            return self._record(act, report, planner, keep)  # 5
+            return self._record(act, report, planner, on_commit)  # 5
 
         try:
             self._require_suspended()  # 0: an operator's stop is on disk, owed outcomes too,
             self._watch.settle_owed()
             self._require_conditions()  # and what the start and emergencies ask for holds
-            self.intake.refresh()  # 1: the newest state
+            self.inputs.refresh()  # 1: the newest state
             report = self._ledger.run(job)  # 2 to 6: one transaction, committed
         except AuthGuardError as error:
             return self._refused(error, planner, influences, inputs)
@@ -173,7 +173,7 @@ class Enforcer:
             return self._refused(fault, planner, influences)
         if not require_judged(report).released:
             return report
-        return self._begin(report, keep)  # 7 and 8: the lease on new state, then dispatch
+        return self._begin(report, on_commit)  # 7 and 8: the lease on new state, then dispatch
 
     def settle_stops(self) -> bool:
         """Write what an operator's stop has to change, if it is not on disk; True once it is."""
@@ -237,13 +237,13 @@ class Enforcer:
         self, act: Transaction, step: Step, *, planner: Identifier, evidence: Digest, base: Label
     ) -> Judged:
         """Steps 2 to 4, in the transaction: fill in the action, decide it, ask the safety gate."""
-        verified = self.intake.active_mission(act)
+        verified = self.inputs.active_mission(act)
         standing = act.standing(verified.mission.mid)
-        state = self.intake.state
+        state = self.inputs.state
         now = act.now
         meta = meta_of(verified, planner=planner, evidence=evidence, now=now)
         action = complete(step, meta, verified, standing, state=state, base=base)  # 2
-        answered = self.intake.answers(act, standing)
+        answered = self.inputs.answers(act, standing)
         decision = decide(  # 3
             verified,
             action,
@@ -304,7 +304,9 @@ class Enforcer:
         act.hold(standing)
         return True
 
-    def _record(self, act: Transaction, report: Report, planner: Identifier, keep: Keep) -> Report:
+    def _record(
+        self, act: Transaction, report: Report, planner: Identifier, on_commit: CommitHook
+    ) -> Report:
         """Step 5: make a decision's changes and append its record, after the one it repairs."""
         judged, refused = require_judged(report), report.repairs
         changes = self._commit(act, judged)
@@ -313,16 +315,16 @@ class Enforcer:
         if not changes:
             return self._refuse(act, report, planner)
         number = record_decision(act, judged, record_of_decision(report, self._facts))
-        keep(act, report, number)
+        on_commit(act, report, number)
         return msgspec.structs.replace(report, seq=number)
 
     def _refuse(self, act: Transaction, report: Report, planner: Identifier) -> Report:
         """Record a decision that changes nothing, now or later."""
-        fold = (planner, *cause_of(report))
-        seq = act.refuse(record_of_decision(report, self._facts), fold=fold)
+        dedup_key = (planner, *cause_of(report))
+        seq = act.refuse(record_of_decision(report, self._facts), dedup_key=dedup_key)
         return msgspec.structs.replace(report, seq=seq, outcome_recorded=self._kept(seq))
 
-    def _begin(self, report: Report, keep: Keep) -> Report | Running:
+    def _begin(self, report: Report, on_commit: CommitHook) -> Report | Running:
         """Steps 7 and 8: dispatch what was committed, unless its lease does not hold any more."""
         judged = require_judged(report)
         match = judged.decision.match
@@ -341,11 +343,13 @@ class Enforcer:
         findings = self._watch.last_look(lease, irreversible=irreversible)  # 7
         if not findings:
             try:
-                flight = self._watch.controller.dispatch(judged.action, lease)  # 8
-                return Running(self._watch, report, lease=lease, flight=flight, keep=keep)
+                handle = self._watch.controller.dispatch(judged.action, lease)  # 8
+                return Running(self._watch, report, lease=lease, handle=handle, on_commit=on_commit)
             except ControllerError as error:
                 findings = (fault_finding(error),)
-        return self._watch.settle(report, Outcome.NOT_STARTED, findings=findings, keep=keep)
+        return self._watch.settle(
+            report, Outcome.NOT_STARTED, findings=findings, on_commit=on_commit
+        )
 
     def _refused(
         self,
@@ -356,7 +360,9 @@ class Enforcer:
     ) -> Report:
         """Turn an exception into a refusal with a record, if anything can still be recorded."""
         made = partial(refused_proposal, error, client=planner, inputs=inputs or {})
-        seq = quietly(lambda: self._ledger.refuse(made, fold=(planner, error.reason, error.where)))
+        seq = quietly(
+            lambda: self._ledger.refuse(made, dedup_key=(planner, error.reason, error.where))
+        )
         refusal = Refusal(error.reason, error.where, error.message)
         told = Report(judged=None, refusal=refusal, influences=influences, seq=seq)
         return msgspec.structs.replace(told, outcome_recorded=self._kept(seq))
@@ -366,11 +372,7 @@ class Enforcer:
         return seq is not None or self._ledger.refusals.may_write()
 
     def refuse_plan(
-        self,
-        error: AuthGuardError,
-        *,
-        planner: Identifier,
-        inputs: Mapping[str, Any] | None = None,
+        self, error: AuthGuardError, *, planner: Identifier, inputs: Mapping[str, Any] | None = None
     ) -> Report:
         """Record that a whole plan could not be read; nothing of it was decided.
 

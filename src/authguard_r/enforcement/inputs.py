@@ -143,7 +143,7 @@ class InputVerifier:
                     open={"what": "state", "reasons": [fault.reason]},
                     sealed={"where": fault.where, "message": fault.message},
                 ),
-                fold=("estimator", fault.reason, fault.where),
+                dedup_key=("estimator", fault.reason, fault.where),
             )
         else:
             self._seen, self._state, self.fault = data, state, None
@@ -419,12 +419,7 @@ class InputVerifier:
 
     def _open_snapshot(self, data: bytes, now: Now) -> Snapshot:
         opened, _, _ = open_token(
-            data,
-            Snapshot,
-            tag=Tag.STATE,
-            roles=ESTIMATOR_ROLES,
-            verifier=self._verifier,
-            now=now,
+            data, Snapshot, tag=Tag.STATE, roles=ESTIMATOR_ROLES, verifier=self._verifier, now=now
         )
         return opened
 

@@ -33,10 +33,10 @@ from authguard_r.wire.gate_limits import LIMITS
 
 T = TypeVar("T")
 #: Holds something beside a decision or an outcome, in the same turn; given its record's number.
-Keep = Callable[[Transaction, Report, int], None]
+CommitHook = Callable[[Transaction, Report, int], None]
 
 
-def keep_nothing(act: Transaction, report: Report, seq: int) -> None:
+def no_commit_hook(act: Transaction, report: Report, seq: int) -> None:
     """Hold nothing beside the record."""
 
 
@@ -67,7 +67,7 @@ class LeaseMonitor:
 
     Args:
         ledger: store and trusted time.
-        intake: the newest attested state.
+        inputs: the newest attested state.
         facts: the signed site and the gate's identity.
         controller: stops the robot.
         stand_within_ms: how long a stopped robot may take to stand.
@@ -76,14 +76,14 @@ class LeaseMonitor:
     def __init__(
         self,
         ledger: Ledger,
-        intake: InputVerifier,
+        inputs: InputVerifier,
         *,
         facts: SiteFacts,
         controller: Controller,
         stand_within_ms: int = LIMITS.stand_within_ms,
     ) -> None:
         self._ledger = ledger
-        self._intake = intake
+        self._inputs = inputs
         self._facts = facts
         self.controller = controller
         self.stand_within_ms = stand_within_ms
@@ -101,23 +101,23 @@ class LeaseMonitor:
         """
         if isinstance(self.controller, Guarded):
             self.controller.require_stop()
-        self._intake.anchor.ready(irreversible=irreversible)
+        self._inputs.anchor.ready(irreversible=irreversible)
         return True
 
     def last_look(self, lease: Lease, *, irreversible: bool) -> Findings:
         """Look once more, after what was committed is counted outside if it cannot be undone."""
-        return self._intake.anchor.covered(irreversible=irreversible) or self.look(lease)
+        return self._inputs.anchor.covered(irreversible=irreversible) or self.look(lease)
 
     def look(self, lease: Lease) -> Findings:
         """Ask the lease's conditions on new state; not being able to ask is a reason to stop."""
         try:
-            self._intake.refresh()
-            state, now = self._intake.newest, self._ledger.now()
+            self._inputs.refresh()
+            state, now = self._inputs.newest, self._ledger.now()
             standing = self._ledger.standing(lease.mid)
             found = still(lease, state, facts=self._facts, now=now, standing=standing)
-            if not found and self._intake.kept(lease.digest) is None:
+            if not found and self._inputs.kept(lease.digest) is None:
                 # its signer has to be verified anew: a revocation list came
-                self._ledger.run(lambda act: self._intake.mission(act, lease.digest))
+                self._ledger.run(lambda act: self._inputs.mission(act, lease.digest))
         except AuthGuardError as error:
             return (fault_finding(error),)
         return found
@@ -129,7 +129,7 @@ class LeaseMonitor:
         *,
         findings: Findings = (),
         used: Spend = Spend(),  # noqa: B008 - frozen
-        keep: Keep = keep_nothing,
+        on_commit: CommitHook = no_commit_hook,
         stood_ms: int | None = None,
     ) -> Report:
         """Record the outcome and what it used; complete the mission when that was the last."""
@@ -151,7 +151,7 @@ class LeaseMonitor:
                 judged, outcome, findings, used=used, now=act.now, stood_ms=stood_ms
             )
             seq = act.record(entry)
-            keep(act, ended, seq)
+            on_commit(act, ended, seq)
             return seq
 
         recorded = quietly(lambda: self._ledger.run(job, essential=True)) is not None
@@ -182,7 +182,7 @@ class LeaseMonitor:
         """
         if standing.digest == judged.verified.digest:
             return judged.verified.mission
-        return quietly(lambda: self._intake.mission(act, standing.digest).mission)
+        return quietly(lambda: self._inputs.mission(act, standing.digest).mission)
 
 
 class ExecutionResult(Struct, frozen=True, kw_only=True):
@@ -204,19 +204,19 @@ class ExecutionMonitor:
 
     Args:
         watch: the clock, the controller, and how long a stopped robot may take to stand.
-        flight: what the controller says of it.
+        handle: what the controller says of it.
         look: returns what speaks against going on.
     """
 
     def __init__(
-        self, watch: LeaseMonitor, flight: GoalHandle, look: Callable[[], Findings]
+        self, watch: LeaseMonitor, handle: GoalHandle, look: Callable[[], Findings]
     ) -> None:
         self._watch = watch
-        self._flight = flight
+        self._handle = handle
         self._look = look
         self._findings: Findings = ()
         self._told_ms: int | None = None
-        self._why = flight.why if isinstance(flight, Explained) else str
+        self._why = handle.why if isinstance(handle, Explained) else str
 
     @property
     def holds(self) -> bool:
@@ -226,13 +226,13 @@ class ExecutionMonitor:
     def poll(self) -> ExecutionResult | None:
         """Look once; return how it ended, None while it goes on."""
         found = (*self._look(), *self._doubts()) if self._told_ms is None else ()
-        ended = self._flight.outcome()
+        ended = self._handle.outcome()
         if ended is not None:
             return self._ended(ended)
         if found:
             self._findings, self._told_ms = found, self._watch.mono_ms()
             self._watch.controller.stop()
-            ended = self._flight.outcome()
+            ended = self._handle.outcome()
             return None if ended is None else self._ended(ended)
         told = self._told_ms
         late = told is not None and self._watch.mono_ms() - told > self._watch.stand_within_ms
@@ -265,19 +265,25 @@ class Running:
         watch: looks, stops, settles.
         report: of the decision.
         lease: what the release permits.
-        flight: what the controller says of it.
-        keep: holds something beside the outcome.
+        handle: what the controller says of it.
+        on_commit: holds something beside the outcome.
     """
 
     def __init__(
-        self, watch: LeaseMonitor, report: Report, *, lease: Lease, flight: GoalHandle, keep: Keep
+        self,
+        watch: LeaseMonitor,
+        report: Report,
+        *,
+        lease: Lease,
+        handle: GoalHandle,
+        on_commit: CommitHook,
     ) -> None:
         self._watch = watch
         self._report = report
         self.lease = lease
-        self._flight = flight
-        self._keep = keep
-        self._course = ExecutionMonitor(watch, flight, lambda: watch.look(lease))
+        self._handle = handle
+        self._on_commit = on_commit
+        self._course = ExecutionMonitor(watch, handle, lambda: watch.look(lease))
         self._before: Callable[[], object] = lambda: None
         self.since_ms = watch.mono_ms()
 
@@ -310,8 +316,8 @@ class Running:
             self._report,
             landed.outcome,
             findings=landed.findings,
-            used=self._flight.used(),
-            keep=self._keep,
+            used=self._handle.used(),
+            on_commit=self._on_commit,
             stood_ms=landed.stood_ms,
         )
 

@@ -270,12 +270,7 @@ def outcome_entry(
     )
 
 
-def refusal_entry(
-    error: AuthGuardError,
-    time_ms: int,
-    *,
-    client: Identifier = NONE,
-) -> Entry:
+def refusal_entry(error: AuthGuardError, time_ms: int, *, client: Identifier = NONE) -> Entry:
     """Return the record of a refusal that has no decision.
 
     Args:

@@ -36,12 +36,12 @@ class RecordedStops:
 
     Args:
         ledger: store and trusted time.
-        intake: for the mission's budget.
+        inputs: for the mission's budget.
     """
 
-    def __init__(self, ledger: Ledger, intake: InputVerifier) -> None:
+    def __init__(self, ledger: Ledger, inputs: InputVerifier) -> None:
         self._ledger = ledger
-        self._intake = intake
+        self._inputs = inputs
         self._owed = False
 
     def record(
@@ -80,7 +80,7 @@ class RecordedStops:
             if quietly(note) is None:
                 self._ledger.raise_fence()
         else:
-            quietly(lambda: self._ledger.refuse(entry, fold=(by, _OVER, "stop")))
+            quietly(lambda: self._ledger.refuse(entry, dedup_key=(by, _OVER, "stop")))
             self._ledger.raise_fence()  # the log may hear of it later, or of its count alone
         self._owed = self._owed or suspends
         self.settle()
@@ -123,7 +123,7 @@ class RecordedStops:
         standing = act.standing(mid) if mid is not None else None
         if standing is None:
             return _BudgetPlace.WITHIN
-        most = self._intake.held(act, standing.digest).mission.budgets.planner_stops
+        most = self._inputs.held(act, standing.digest).mission.budgets.planner_stops
         if standing.planner_stops > most:
             return _BudgetPlace.OVER
         counted = count_planner_stop(standing)

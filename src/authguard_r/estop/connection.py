@@ -51,7 +51,7 @@ _MAIN = "import sys; from authguard_r.estop.main import main; sys.exit(main(sys.
 _BOUND = {int(kind): 1 << 13 for kind in (Kind.WELCOME, Kind.EVENT, Kind.REPLY, Kind.ERROR)}
 
 
-def start_lane(files: EStopFiles) -> subprocess.Popen[bytes] | None:
+def start_stop_process(files: EStopFiles) -> subprocess.Popen[bytes] | None:
     """Start a stop process in a session of its own and wait until it serves; None if one serves.
 
     The process inherits no open file and no session; who keeps the result can reap it.

@@ -13,13 +13,13 @@ import msgspec
 
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.estop.files import asked
-from authguard_r.estop.startup import EStopReady, run_lane
+from authguard_r.estop.startup import EStopReady, run_stop_process
 
 
 def main(arguments: list[str]) -> int:
     """Serve until SIGTERM; return the exit code."""
     try:
-        run_lane(asked(arguments[0]), _say, of_gate=True)
+        run_stop_process(asked(arguments[0]), _say, of_gate=True)
     except AuthGuardError as error:
         _say({"error": {"code": error.reason, "message": error.message, "where": error.where}})
         return 5

@@ -270,7 +270,7 @@ class EStopDispatcher:
         elif peer.uid != self._own_uid:
             raise _denied(f"user {peer.uid} may not be `{hello.role}` here")
         peer.role, peer.client = hello.role, hello.client
-        peer.reader.bound = lane_bound(hello.role)
+        peer.reader.bound = frame_bound(hello.role)
         if hello.nonce is None:
             self._welcome(peer, hello, now)
         else:
@@ -380,7 +380,7 @@ class EStopDispatcher:
         self.dropped[Dropped(peer.uid, str(error.reason), error.where)] += 1
 
 
-def lane_bound(role: ClientRole) -> Callable[[int], int]:
+def frame_bound(role: ClientRole) -> Callable[[int], int]:
     """Return the longest body of each kind that a role may send to the stop process.
 
     Every connection but the controller's and the gate's may stop, and do nothing else.

@@ -88,7 +88,7 @@ def leave_place(place: RunFolder) -> None:
     os.close(place.lock)
 
 
-def end_lane(run: Path) -> None:
+def end_stop_process(run: Path) -> None:
     """End the stop process that serves there: ask it to, and kill it when it hangs.
 
     Raises:

@@ -213,7 +213,7 @@ class EStopServer:
         The others seldom while a caller waits, and a gate that listens has its time first: what it
         has recorded needs no file.
         """
-        desk, others = self._desk, self.journal.others
+        session, others = self._desk, self.journal.others
         self._write_first(now)
         if not self.journal.first:
             self.first_spool.clear()
@@ -221,13 +221,13 @@ class EStopServer:
             self._fresh_ms = None
         elif self._fresh_ms is None:
             self._fresh_ms = now.mono_ms
-        is_quiet = not (desk.is_waiting or desk.has_work)
+        is_quiet = not (session.is_waiting or session.has_work)
         is_due = self._fresh_ms is not None and now.mono_ms - self._fresh_ms >= LIMITS.spool_ms
-        if is_due or (others.is_fresh and is_quiet and not desk.has_gate):
+        if is_due or (others.is_fresh and is_quiet and not session.has_gate):
             self._write_others(now)
         if is_quiet and not self.journal:
             self.spool.clear()
-        if desk.dropped and now.mono_ms - self._said >= LIMITS.log_ms:
+        if session.dropped and now.mono_ms - self._said >= LIMITS.log_ms:
             self._said = now.mono_ms
             self._say_dropped()
 

@@ -94,7 +94,7 @@ def is_given(ask: Callable[[], object]) -> bool:
     return True
 
 
-def run_lane(
+def run_stop_process(
     files: EStopFiles,
     ready: Callable[[EStopReady], None],
     favor: Callable[[], Favor] = ask_favor,

@@ -52,7 +52,7 @@ class Queue:
         if is_fresh:
             self._fresh[stop.n] = stop
 
-    def fold(self, n: int, later: StopHeard, *, is_fresh: bool) -> None:
+    def dedup_key(self, n: int, later: StopHeard, *, is_fresh: bool) -> None:
         """Count a later stop with one that was not sent; what is said is true of both."""
         first = self._unsent[n]
         is_confirmed = first.stood_ms is not None and later.stood_ms is not None
@@ -163,7 +163,7 @@ class Backlog:
         if len(self.others) < LIMITS.window:
             self.others.keep(stop, is_fresh=is_fresh)
         elif who in self._folds:
-            self.others.fold(self._folds[who], stop, is_fresh=is_fresh)
+            self.others.dedup_key(self._folds[who], stop, is_fresh=is_fresh)
         else:
             self._folds[who] = stop.n
             self.others.keep(stop, is_fresh=is_fresh)
@@ -172,4 +172,4 @@ class Backlog:
         if len(self.first) < LIMITS.first_stops:
             self.first.keep(stop, is_fresh=is_fresh)
         else:
-            self.first.fold(self.first.last(), stop, is_fresh=is_fresh)
+            self.first.dedup_key(self.first.last(), stop, is_fresh=is_fresh)

@@ -17,9 +17,9 @@ from contextlib import suppress
 from typing import Protocol
 
 from authguard_r.core.errors import AuthGuardError
-from authguard_r.estop.connection import EStopConnection, start_lane
+from authguard_r.estop.connection import EStopConnection, start_stop_process
 from authguard_r.estop.files import CONFIG, EStopFiles, config_digest
-from authguard_r.estop.run_folder import SOCKET, end_lane, is_of_gate, is_served, kill
+from authguard_r.estop.run_folder import SOCKET, end_stop_process, is_of_gate, is_served, kill
 from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import StopHeard
 
@@ -36,11 +36,11 @@ class StopListener(Protocol):
         """True when everything that was heard has taken its effect on disk."""
         ...
 
-    def lane_lost(self, why: AuthGuardError | None) -> None:
+    def stop_process_lost(self, why: AuthGuardError | None) -> None:
         """Report that stops are not heard of any more."""
         ...
 
-    def lane_silent(self, *, is_silent: bool) -> None:
+    def stop_process_silent(self, *, is_silent: bool) -> None:
         """Say whether a connected stop process answers; called when that changes."""
         ...
 
@@ -72,7 +72,7 @@ class EStopSupervisor:
             EnvironmentFault: none serves and none can be started.
         """
         retire_stale(self._files)
-        started = start_lane(self._files)
+        started = start_stop_process(self._files)
         if started is not None:
             self._started.append(started)
 
@@ -83,7 +83,7 @@ class EStopSupervisor:
             EnvironmentFault: it does not end.
         """
         if is_of_gate(self._files.run):
-            end_lane(self._files.run)
+            end_stop_process(self._files.run)
         for process in self._started:
             process.terminate()
             try:
@@ -115,7 +115,7 @@ class EStopSupervisor:
             try:
                 close = await self._connect(listener, lost)
             except AuthGuardError as error:
-                listener.lane_lost(error)
+                listener.stop_process_lost(error)
                 await asyncio.sleep(LIMITS.stop_retry_s)
                 await self._restart()
                 continue
@@ -129,7 +129,7 @@ class EStopSupervisor:
     async def _watch(self, listener: StopListener, lost: asyncio.Event) -> None:
         """Ask the stop process again and again whether it works, until the connection is lost."""
         self._asked_s, is_told = None, False
-        listener.lane_silent(is_silent=False)
+        listener.stop_process_silent(is_silent=False)
         while not lost.is_set():
             if not self._is_asked:  # one question at a time: a stop process that hangs gets no heap
                 self._ask_again()
@@ -142,7 +142,7 @@ class EStopSupervisor:
             waits = self._is_asked and not lost.is_set()
             if is_told is not (waits and self._looks >= LIMITS.stop_silent_looks):
                 is_told = not is_told
-                listener.lane_silent(is_silent=is_told)
+                listener.stop_process_silent(is_silent=is_told)
             if waits and self._looks >= LIMITS.stop_replaced_looks and listener.settled:
                 self._replace()
 
@@ -188,7 +188,7 @@ class EStopSupervisor:
 
         def on_lost(why: AuthGuardError | None) -> None:
             if not lost.is_set():
-                listener.lane_lost(why)
+                listener.stop_process_lost(why)
                 lost.set()
 
         def close() -> None:
@@ -219,7 +219,7 @@ def retire_stale(files: EStopFiles) -> None:
         EnvironmentFault: it does not end.
     """
     if is_served(files.run / SOCKET) and _config_of(files) != config_digest(files):
-        end_lane(files.run)
+        end_stop_process(files.run)
 
 
 def _config_of(files: EStopFiles) -> str | None:

@@ -29,12 +29,12 @@ class ActiveMission:
 
     Args:
         ledger: the store.
-        intake: verifies and keeps missions.
+        inputs: verifies and keeps missions.
     """
 
-    def __init__(self, ledger: Ledger, intake: InputVerifier) -> None:
+    def __init__(self, ledger: Ledger, inputs: InputVerifier) -> None:
         self._ledger = ledger
-        self._intake = intake
+        self._inputs = inputs
         self._known: dict[str, Any] | None = None
         self._is_old = True
         self.issued: list[dict[str, Any]] = []
@@ -87,27 +87,27 @@ class ActiveMission:
         if not mid:
             return None
         standing = self._ledger.standing(MissionId(mid.decode("ascii")))
-        kept = None if standing is None else self._intake.kept(standing.digest)
+        kept = None if standing is None else self._inputs.kept(standing.digest)
         if standing is None or kept is None:  # of a gate before this one
             return self._known
         return _shown(standing, kept.mission, void=void)
 
     def _mission(self, act: Transaction) -> dict[str, Any] | None:
-        intake = self._intake
-        self.issued = [_shown_issued(act, intake, one) for one in issued(act)]
+        inputs = self._inputs
+        self.issued = [_shown_issued(act, inputs, one) for one in issued(act)]
         self.damaged = damaged(act)
         mid = act.active()
         standing = None if mid is None else act.standing(mid)
         if standing is None:
             return None
-        held = intake.held(act, standing.digest)
-        return _shown(standing, held.mission, void=intake.lost(act, standing.digest))
+        held = inputs.held(act, standing.digest)
+        return _shown(standing, held.mission, void=inputs.lost(act, standing.digest))
 
 
-def _shown_issued(act: Transaction, intake: InputVerifier, standing: Standing) -> dict[str, Any]:
+def _shown_issued(act: Transaction, inputs: InputVerifier, standing: Standing) -> dict[str, Any]:
     """Return what `status` says of an issued mission; a damaged token says nothing of itself."""
     try:
-        mission = intake.held(act, standing.digest).mission
+        mission = inputs.held(act, standing.digest).mission
     except StoreError:
         mission = None
     return {

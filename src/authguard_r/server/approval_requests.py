@@ -76,7 +76,7 @@ class OpenQuestions:
             robot, now_ms = self._gate.facts.robot.rid, act.now.utc_ms
             return Questions(robot=robot, now_ms=now_ms, requests=tuple(found))
 
-        self._gate.enforcer.intake.refresh()  # whether a request is current, newest state says
+        self._gate.enforcer.inputs.refresh()  # whether a request is current, newest state says
         said = self._gate.ledger.run(job)
         if counter is not None and not said.requests:
             raise RefusedError(
@@ -99,7 +99,7 @@ class OpenQuestions:
             asked = find_asked(
                 act,
                 said,
-                mission=gate.enforcer.intake.mission,
+                mission=gate.enforcer.inputs.mission,
                 facts=gate.facts,
                 opened=gate.ledger.opened,
             )
@@ -170,7 +170,7 @@ class OpenQuestions:
         return self._open
 
     def _all(self, act: Transaction, standing: Standing, counter: int | None) -> Iterable[Question]:
-        verified = self._gate.enforcer.intake.mission(act, standing.digest)
+        verified = self._gate.enforcer.inputs.mission(act, standing.digest)
         grants = {grant.id: grant for grant in verified.mission.actions}
         for name, request in standing.requests.items():
             if counter in {None, request.counter}:
@@ -199,7 +199,7 @@ class OpenQuestions:
         told = read_told(act, verified.mission.mid, request.counter, self._gate.ledger.opened)
         action = told.value("action", Action)
         asked = None if action is None else self._put(verified, standing, grant, action)
-        held = self._gate.enforcer.intake.answers(act, standing).approvals
+        held = self._gate.enforcer.inputs.answers(act, standing).approvals
         answers = tuple(item for item in held if item.approval.counter == request.counter)
         guards = (*verified.mission.guards, *grant.guards)
         truth = self._truth(told, verified, grant)
@@ -250,7 +250,7 @@ class OpenQuestions:
 
     def _is_current(self, asked: OpenRequest, now: Now) -> bool:
         """True when the same proposal would meet this request now, and open no other."""
-        state: AttestedState | None = self._gate.enforcer.intake.state
+        state: AttestedState | None = self._gate.enforcer.inputs.state
         case = Case(
             verified=asked.verified,
             action=asked.action,

@@ -35,16 +35,16 @@ def brakes_of(
     remote: RemoteController | None,
     mode: Mode,
     *,
-    book: StopRecorder,
-    motions: LeaseRegistry,
+    recorder: StopRecorder,
+    leases: LeaseRegistry,
 ) -> Braking:
     """Return who carries out the stops that come to a gate itself."""
     here = remote is None and mode is Mode.ENFORCE
     return Braking(
         gate.watch.controller,
         remote,
-        book=book,
-        stands=(lambda: not motions) if here else None,
+        recorder=recorder,
+        stands=(lambda: not leases) if here else None,
         mono_ms=gate.ledger.mono_ms,
     )
 
@@ -80,7 +80,7 @@ class Braking:
         controller: brakes.
         remote: the same, where it is connected over a socket; None: a robot in this process, or
             a gate that moves nothing.
-        book: writes stops down.
+        recorder: writes stops down.
         stands: True while nothing moves, of a robot in this process; None when it is unknown.
         mono_ms: the gate's monotonic clock.
     """
@@ -90,13 +90,13 @@ class Braking:
         controller: Controller,
         remote: RemoteController | None,
         *,
-        book: StopRecorder,
+        recorder: StopRecorder,
         stands: Callable[[], bool] | None,
         mono_ms: Callable[[], int],
     ) -> None:
         self._controller = controller
         self._remote = remote
-        self._book = book
+        self._recorder = recorder
         self._stands = stands
         self._mono_ms = mono_ms
         self._waiting: dict[_Who, _PendingBrake] = {}
@@ -155,7 +155,7 @@ class Braking:
         if known is not None:
             known.more += not _is_same(known.stop, stop)
             known.asked += [(client, number)] if len(known.asked) < LIMITS.joined_stops else []
-            loop.call_soon(partial(self._book.begun, client.role))
+            loop.call_soon(partial(self._recorder.begun, client.role))
             return
         self._controller.stop()
         told = None if self._remote is None or not self._remote.connected else self._remote.halts
@@ -165,7 +165,7 @@ class Braking:
         loop.call_soon(partial(self._hold, client))
 
     def _hold(self, client: ServedClient) -> None:
-        self._book.begun(client.role)
+        self._recorder.begun(client.role)
         self.look()
 
     def _keep(self, who: _Who, waiting: _PendingBrake, now_ms: int) -> None:
@@ -194,7 +194,7 @@ class Braking:
                 before.stood_ms = None
 
     def _write(self, waiting: _PendingBrake) -> None:
-        self._book.taken(waiting.client, waiting.stop, waiting.stood_ms, waiting.more)
+        self._recorder.taken(waiting.client, waiting.stop, waiting.stood_ms, waiting.more)
 
     @property
     def _is_there(self) -> bool:

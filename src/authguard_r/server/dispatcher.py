@@ -68,7 +68,7 @@ class Dispatcher:
     Args:
         gate: enforcer, management, ledger.
         plans: planners' proposals.
-        motions: open leases.
+        leases: open leases.
         look: looks at every open lease.
         inbox: where snapshots go.
         view: what may be read.
@@ -88,7 +88,7 @@ class Dispatcher:
         gate: Gate,
         *,
         plans: Plans,
-        motions: LeaseRegistry,
+        leases: LeaseRegistry,
         look: Callable[[], None],
         inbox: StateInbox,
         view: GateQueries,
@@ -104,7 +104,7 @@ class Dispatcher:
     ) -> None:
         self._gate = gate
         self._plans = plans
-        self._motions = motions
+        self._leases = leases
         self._look = look
         self._inbox = inbox
         self._view = view
@@ -193,7 +193,7 @@ class Dispatcher:
 
     def _attest(self, client: ServedClient, number: int, attested: Attest) -> None:
         """Take a snapshot in and look at every lease; the log has why one was not taken in."""
-        intake = self._gate.enforcer.intake
+        inputs = self._gate.enforcer.inputs
         if attested.token == self._inbox.latest():
             raise AuthenticityError(
                 "expected a snapshot after the last one",
@@ -201,11 +201,11 @@ class Dispatcher:
                 where="snapshot",
             )
         self._inbox.put(attested.token, client)
-        intake.refresh()
-        state = intake.newest
+        inputs.refresh()
+        state = inputs.newest
         self._look()
-        if intake.fault is not None:
-            raise intake.fault
+        if inputs.fault is not None:
+            raise inputs.fault
         taken = None if state is None else (state.snapshot.epoch, state.snapshot.seq)
         client.reply(number, {} if taken is None else {"epoch": taken[0], "seq": taken[1]})
 
@@ -263,7 +263,7 @@ class Dispatcher:
             self._look()
 
     def _result(self, client: ServedClient, number: int, said: Result) -> None:  # noqa: ARG002
-        self._motions.tell(said)
+        self._leases.tell(said)
 
 
 def _orders_of(gate: Gate) -> dict[OrderKind, Callable[[Order], _Done]]:

@@ -76,7 +76,7 @@ class EmergencyCalls:
     Args:
         rescue: carries emergencies out.
         enforcer: refuses proposals while an emergency is under way.
-        motions: what moves; emergencies are watched there, too.
+        leases: what moves; emergencies are watched there, too.
         controller: the controller's end; None where nothing is connected to anything.
         liveness: alerts.
         publish: sends an event to every client that watches.
@@ -86,19 +86,19 @@ class EmergencyCalls:
 
     def __init__(
         self,
-        rescue: EmergencyEnforcer,
+        watch_emergency: EmergencyEnforcer,
         *,
         enforcer: Enforcer,
-        motions: LeaseRegistry,
+        leases: LeaseRegistry,
         controller: RemoteController | None,
         liveness: Liveness,
         publish: Callable[[dict[str, Any]], None],
         state_wait_ms: int,
         closing: Callable[[], bool],
     ) -> None:
-        self._rescue = rescue
+        self._rescue = watch_emergency
         self._enforcer = enforcer
-        self._motions = motions
+        self._leases = leases
         self._controller = controller
         self._liveness = liveness
         self._publish = publish
@@ -179,7 +179,7 @@ class EmergencyCalls:
             self._enforcer.require(self._require_over)
             until_ms = self._rescue.watch.mono_ms() + self._rescue.watch.stand_within_ms
             self._waiting = _PendingCall(asked, until_ms)
-            if self._motions:
+            if self._leases:
                 self._rescue.watch.controller.stop()
             self._go_on(self._waiting, self._rescue.watch.mono_ms())
 
@@ -190,7 +190,7 @@ class EmergencyCalls:
         """
         remote = self._controller
         rests = remote is None or (remote.at_rest and remote.can_stop())
-        if (self._motions or not rests) and now_ms <= waiting.until_ms:
+        if (self._leases or not rests) and now_ms <= waiting.until_ms:
             return
         if not waiting.stands:
             waiting = _PendingCall(waiting.asked, now_ms + self._state_wait_ms, stands=True)
@@ -199,7 +199,7 @@ class EmergencyCalls:
         self._rescue.log.flush()  # what ended before is in the log before the fence is asked
         call = self._rescue.judge(asked.capability, asked.caller, asked.name, stands=True)
         moves = Finding("controller", Reason.BUSY, "a robot that stands", "one that moves")
-        if hindered := (moves,) if self._motions else self._hindered(begins=True):
+        if hindered := (moves,) if self._leases else self._hindered(begins=True):
             self._refuse(asked, call, hindered, is_false=False)
         elif call.released:
             self._begin(asked, call)
@@ -228,7 +228,7 @@ class EmergencyCalls:
         begun = self._rescue.begin(call)
         if isinstance(begun, EmergencyExecution):
             self._running = asked
-            self._motions.rescue(begun, partial(self._ended, asked))
+            self._leases.watch_emergency(begun, partial(self._ended, asked))
             self._publish({"event": "emergency", **told})
             self._liveness.tell("emergency", told)
         else:
@@ -240,7 +240,7 @@ class EmergencyCalls:
         self._answer(asked, ended)
 
     def _answer(self, asked: _CallListener, ended: EmergencyReport) -> None:
-        told = rescued_json(ended)
+        told = emergency_json(ended)
         self._publish({"event": "emergency", "by": asked.name, **told})
         asked.tell(told)
 
@@ -256,7 +256,7 @@ class EmergencyCalls:
         self._rescue.refuse(call, findings)
         if is_false and asked.caller is Caller.PLANNER:
             self._count(asked, call, findings)
-        asked.tell(rescued_json(EmergencyReport(call=call, reasons=findings)))
+        asked.tell(emergency_json(EmergencyReport(call=call, reasons=findings)))
 
     def _count(self, asked: _CallListener, call: JudgedEmergency, findings: Findings) -> None:
         """Raise an alert at a user's first false call, the tenth, the hundredth, and so on.
@@ -342,7 +342,7 @@ def _user_of(name: Identifier) -> str:
     return name.partition(".")[0]
 
 
-def rescued_json(ended: EmergencyReport) -> dict[str, Any]:
+def emergency_json(ended: EmergencyReport) -> dict[str, Any]:
     """Return what the caller hears of its call."""
     call = ended.call
     released = ended.ticket is not None

@@ -45,7 +45,7 @@ def open_emergency_enforcer(
     log.flush()
     return EmergencyEnforcer(
         gate.ledger,
-        gate.enforcer.intake,
+        gate.enforcer.inputs,
         opened=opened,
         verifier=gate.trust,
         facts=gate.facts,

@@ -25,7 +25,7 @@ from authguard_r.core.quantities import to_timestamp
 from authguard_r.core.reasons import Reason
 from authguard_r.enforcement.emergency_audit import EMERGENCY
 from authguard_r.enforcement.report import PROPOSAL
-from authguard_r.server.remediation import mends_of
+from authguard_r.server.remediation import remedies_of
 
 #: How long the proposed next version would be valid, in milliseconds.
 _VALID_MS = 1_800_000
@@ -80,7 +80,7 @@ def _explained(
     change = _change(record, values, mission)
     influences = values.get("influences", [])
     emergency = opened.get("what") == EMERGENCY
-    mends = mends_of(opened.get("reasons") or (), emergency=emergency)
+    mends = remedies_of(opened.get("reasons") or (), emergency=emergency)
     what = f"emergency {values.get('capability')}" if emergency else _what(record, action)
     return {
         "kind": record.kind,

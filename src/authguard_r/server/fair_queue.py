@@ -161,10 +161,10 @@ class FairQueue:
         _flow(client)
 
     def _next(
-        self, ring: deque[ServedClient]
+        self, queue: deque[ServedClient]
     ) -> tuple[tuple[ServedClient, Frame | Callable[[], None]], ...]:
-        while ring:
-            client = ring.popleft()
+        while queue:
+            client = queue.popleft()
             client.queued = False
             if client.gone:
                 _forget(client)

@@ -46,7 +46,7 @@ class _Moving(Protocol):
     def poll(self) -> Report | EmergencyReport | None: ...
 
 
-class _Motion(Struct, frozen=True):
+class _WatchedLease(Struct, frozen=True):
     running: _Moving
     ended: Callable[[Any], None]
     told: Callable[[Result], None] | None = None
@@ -63,7 +63,7 @@ class LeaseRegistry:
     def __init__(self, controller: RemoteController | None, streams: Streams | None) -> None:
         self._controller = controller
         self._streams = streams
-        self._open: dict[Digest, _Motion] = {}
+        self._open: dict[Digest, _WatchedLease] = {}
 
     def __len__(self) -> int:
         return len(self._open)
@@ -86,21 +86,23 @@ class LeaseRegistry:
             gone: true once the planner is not connected any more.
             told: called with each result of the action while it runs.
         """
-        self._open[running.lease.ticket] = _Motion(running, ended, told)
+        self._open[running.lease.ticket] = _WatchedLease(running, ended, told)
         streams = self._streams
         if streams is not None:
             streams.begin(client, running, gone)
             running.before_outcome(lambda: streams.ended(running.lease.ticket))
 
-    def rescue(self, relief: EmergencyExecution, ended: Callable[[EmergencyReport], None]) -> None:
+    def watch_emergency(
+        self, execution: EmergencyExecution, ended: Callable[[EmergencyReport], None]
+    ) -> None:
         """Watch an emergency; `ended` is called once, with its report."""
-        self._open[relief.lease.ticket] = _Motion(relief, ended)
+        self._open[execution.lease.ticket] = _WatchedLease(execution, ended)
 
     def tell(self, result: Result) -> None:
         """Pass on what a running action brought to light; what comes after its end is dropped."""
-        motion = self._open.get(result.ticket)
-        if motion is not None and motion.told is not None:
-            motion.told(result)
+        lease = self._open.get(result.ticket)
+        if lease is not None and lease.told is not None:
+            lease.told(result)
 
     def look(self) -> None:
         """Look at every open lease once."""
@@ -108,11 +110,11 @@ class LeaseRegistry:
             self._controller.check()
         if self._streams is not None:
             self._streams.record()
-        for ticket, motion in tuple(self._open.items()):
-            report = motion.running.poll()
+        for ticket, lease in tuple(self._open.items()):
+            report = lease.running.poll()
             if report is not None:
-                self._end(ticket, motion, report)
-            elif motion.running.holds and self._controller is not None:
+                self._end(ticket, lease, report)
+            elif lease.running.holds and self._controller is not None:
                 self._controller.renew(ticket)
 
     def leases(self) -> tuple[OpenLease, ...]:
@@ -120,15 +122,15 @@ class LeaseRegistry:
         return tuple(
             OpenLease(
                 ticket=ticket,
-                action=motion.running.action.type,
-                since_ms=motion.running.since_ms,
-                until_ms=motion.running.lease.until_mono_ms,
+                action=lease.running.action.type,
+                since_ms=lease.running.since_ms,
+                until_ms=lease.running.lease.until_mono_ms,
             )
-            for ticket, motion in self._open.items()
+            for ticket, lease in self._open.items()
         )
 
-    def _end(self, ticket: Digest, motion: _Motion, report: Report | EmergencyReport) -> None:
+    def _end(self, ticket: Digest, lease: _WatchedLease, report: Report | EmergencyReport) -> None:
         del self._open[ticket]
         if self._controller is not None:
             self._controller.forget(ticket)
-        motion.ended(report)
+        lease.ended(report)

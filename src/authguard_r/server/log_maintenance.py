@@ -37,7 +37,7 @@ class LogMaintenance:
     Args:
         anchor: the store, and what is outside of it.
         liveness: keeps alerts for `status`.
-        notices: records and publishes them.
+        events: records and publishes them.
         rotation: moves the oldest records out of the store; None where there is no file.
     """
 
@@ -45,12 +45,12 @@ class LogMaintenance:
         self,
         anchor: StoreAnchor,
         liveness: Liveness,
-        notices: EventBus,
+        events: EventBus,
         rotation: Rotation | None = None,
     ) -> None:
         self._anchor = anchor
         self._liveness = liveness
-        self._notices = notices
+        self._events = events
         self._rotation = rotation
 
     def begin(self) -> None:
@@ -74,6 +74,6 @@ class LogMaintenance:
             self._liveness.end(told.what)
         elif told.recorded:
             self._liveness.tell(told.what, told.details)
-            self._notices.publish({"event": "alert", "what": told.what, **told.details})
+            self._events.publish({"event": "alert", "what": told.what, **told.details})
         else:
             self._liveness.alert(told.what, told.details)

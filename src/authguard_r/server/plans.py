@@ -43,7 +43,12 @@ from authguard_r.server.proposal import (
     TellResult,
     WatchAction,
 )
-from authguard_r.server.proposals import Keeper, ProposalAnswer, ProposalRegistry, require_same_plan
+from authguard_r.server.proposals import (
+    CommitRecorder,
+    ProposalAnswer,
+    ProposalRegistry,
+    require_same_plan,
+)
 from authguard_r.server.what_if import WhatIf
 from authguard_r.wire.disclosure import Disclosure
 from authguard_r.wire.gate_limits import LIMITS
@@ -80,7 +85,7 @@ class Plans:
         binder: the planner's tools.
         reader: reads long plans in a process of its own.
         contexts: what each planner has seen.
-        motions: watches what was released.
+        leases: watches what was released.
         proposals: what is recorded of earlier proposals.
         foresight: asks both gates without any effect, and lets a step wait for newer state.
         disclosure: how much a planner sees.
@@ -98,7 +103,7 @@ class Plans:
         *,
         reader: PlanReader,
         contexts: PlannerContexts,
-        motions: LeaseRegistry,
+        leases: LeaseRegistry,
         proposals: ProposalRegistry,
         foresight: WhatIf,
         disclosure: Disclosure,
@@ -112,7 +117,7 @@ class Plans:
         self._binder = binder
         self._reader = reader
         self.contexts = contexts
-        self._motions = motions
+        self._leases = leases
         self._proposals = proposals
         self._foresight = foresight
         self._disclosure = disclosure
@@ -276,24 +281,24 @@ class Plans:
 
     def _decide(self, proposal: Proposal, effect: Decide) -> None:
         client, asked = proposal.client, proposal.asked
-        keeper = Keeper(client.name, asked.key, effect.before)
+        recorder = CommitRecorder(client.name, asked.key, effect.before)
         begun = self._enforcer.submit(
             effect.step,
             planner=client.name,
             evidence=proposal.evidence,
             context=self.contexts.of(client),
-            keep=keeper,
+            on_commit=recorder,
             inputs={"action": effect.step.action} if self._shadow else {},
             repair=asked.repair,
         )
-        self._carry_out(proposal, proposal.begun(begun, keeper))
+        self._carry_out(proposal, proposal.begun(begun, recorder))
 
     def _watch(self, proposal: Proposal, effect: WatchAction) -> None:
-        running, keeper = effect.running, effect.keeper
-        self._motions.add(
+        running, recorder = effect.running, effect.recorder
+        self._leases.add(
             proposal.client.name,
             running,
-            lambda report: self._carry_out(proposal, proposal.ended(keeper, report)),
+            lambda report: self._carry_out(proposal, proposal.ended(recorder, report)),
             gone=lambda: proposal.client.gone,
             told=partial(self._note, proposal, self._binder.result_channel(running.action)),
         )

@@ -95,9 +95,9 @@ def run_gate(parts: GateParts, ready: Callable[[Rendezvous], None]) -> None:
         inbox, safety = StateInbox(), gate_of(parts.safety, asked_ms=LIMITS.safety_ms)
         store = open_store(parts.store, reserve_bytes=parts.config.reserve_bytes)
         opened = _open_store(parts, store, inbox)
-        keeper = None if parts.lane is None else EStopSupervisor(parts.lane)
+        recorder = None if parts.lane is None else EStopSupervisor(parts.lane)
         bounds = _stream_bounds(parts, opened)
-        remote = _remote(parts, opened, keeper, bounds)
+        remote = _remote(parts, opened, recorder, bounds)
         gate = _join(parts, opened, safety, _controller(parts, remote))
         held.callback(gate.close)
         recovery = Recovery(gate.management, first=partial(hold_configured, parts, gate.management))
@@ -119,14 +119,14 @@ def run_gate(parts: GateParts, ready: Callable[[Rendezvous], None]) -> None:
                 rotation=_rotation(parts, gate, store),
                 emergency=_emergency(parts, gate, held),
                 free_bytes=partial(_free_bytes, parts.store.absolute().parent),
-                lane_alive=None if keeper is None else partial(_is_alive, keeper),
+                lane_alive=None if recorder is None else partial(_is_alive, recorder),
             )
         )
         service.begin()
-        if keeper is not None:
-            held.callback(keeper.end)
-            keeper.start()
-        asyncio.run(_serve(parts, service, keeper, lock=lock, ready=ready))
+        if recorder is not None:
+            held.callback(recorder.end)
+            recorder.start()
+        asyncio.run(_serve(parts, service, recorder, lock=lock, ready=ready))
         if gate.ended():
             recovery.end()
         else:  # it starts as after a crash, and an alert says why
@@ -206,14 +206,14 @@ def _clock(parts: GateParts) -> Clock:
 
 
 def _remote(
-    parts: GateParts, opened: GateStore, keeper: EStopSupervisor | None, bounds: StreamBounds
+    parts: GateParts, opened: GateStore, recorder: EStopSupervisor | None, bounds: StreamBounds
 ) -> RemoteController | None:
     """Return the controller's end; None in shadow mode, and for a robot in this process."""
     if parts.config.mode is Mode.SHADOW or parts.simulated is not None:
         return None
     stops: dict[str, Any] = {}
-    if keeper is not None:
-        stops = {"ask": keeper.sync, "can_stop": partial(_is_alive, keeper)}
+    if recorder is not None:
+        stops = {"ask": recorder.sync, "can_stop": partial(_is_alive, recorder)}
     return RemoteController(
         opened.ledger.mono_ms,
         renew_within_ms=parts.config.renew_within_ms,
@@ -248,7 +248,7 @@ def _stream_bounds(parts: GateParts, opened: GateStore) -> StreamBounds:
         opened.facts,
         opened.ledger.mono_ms,
         stopping_mm=partial(stopping_mm, profile),
-        state=lambda: opened.intake.newest,
+        state=lambda: opened.inputs.newest,
     )
 
 
@@ -284,14 +284,14 @@ def _free_bytes(folder: Path) -> int:
     return shutil.disk_usage(folder).free
 
 
-def _is_alive(keeper: EStopSupervisor) -> bool:
-    return keeper.alive
+def _is_alive(recorder: EStopSupervisor) -> bool:
+    return recorder.alive
 
 
 async def _serve(
     parts: GateParts,
     service: Service,
-    keeper: EStopSupervisor | None,
+    recorder: EStopSupervisor | None,
     *,
     lock: Lock,
     ready: Callable[[Rendezvous], None],
@@ -301,7 +301,7 @@ async def _serve(
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, service.ended.set)
     answering = asyncio.ensure_future(every(LIMITS.lock_answer_s, lock.answer))
-    keeping = await _keep(keeper, service)
+    keeping = await _keep(recorder, service)
     path = parts.run / SOCKET
     server = await _listen(path, service)
     told = Rendezvous(socket=str(path.absolute()), pid=os.getpid(), robot=parts.config.robot)
@@ -320,12 +320,12 @@ async def _serve(
         path.unlink(missing_ok=True)
 
 
-async def _keep(keeper: EStopSupervisor | None, service: Service) -> asyncio.Future[None]:
+async def _keep(recorder: EStopSupervisor | None, service: Service) -> asyncio.Future[None]:
     """Hear of stops from now on, those before the start included; then clients may come."""
-    if keeper is None:
+    if recorder is None:
         return asyncio.get_running_loop().create_future()
     connected = asyncio.Event()
-    keeping = asyncio.ensure_future(keeper.keep(service.stops, connected.set))
+    keeping = asyncio.ensure_future(recorder.keep(service.stops, connected.set))
     await connected.wait()
     return keeping
 

@@ -24,7 +24,7 @@ from authguard_r.enforcement.leases import Running
 from authguard_r.enforcement.report import Report
 from authguard_r.normalize import Plan, Step
 from authguard_r.server.fair_queue import ServedClient
-from authguard_r.server.proposals import Keeper, Numbers, ProposalAnswer, ProposalRecord
+from authguard_r.server.proposals import CommitRecorder, Numbers, ProposalAnswer, ProposalRecord
 from authguard_r.wire.disclosure import Disclosure
 from authguard_r.wire.messages import Propose, Result
 
@@ -66,7 +66,7 @@ class WatchAction(Struct, frozen=True):
     """Watch an action until it ends; then `Proposal.ended`."""
 
     running: Running
-    keeper: Keeper
+    recorder: CommitRecorder
 
 
 class AwaitNotes(Struct, frozen=True):
@@ -203,19 +203,19 @@ class Proposal:
         )
         return (Decide(self._next, before),)
 
-    def begun(self, begun: Report | Running, keeper: Keeper) -> Effects:
+    def begun(self, begun: Report | Running, recorder: CommitRecorder) -> Effects:
         """Take the decision: a final report, or the action while it runs."""
         if isinstance(begun, Running):
             self.stage = ProposalStage.RUNNING
             step, report = len(self._reports), begun.report
-            return (WatchAction(begun, keeper), TellDecision(step, report), CountDecision(report))
+            return (WatchAction(begun, recorder), TellDecision(step, report), CountDecision(report))
         if begun.outcome is not None:
-            return (CountDecision(begun), *self.ended(keeper, begun))
+            return (CountDecision(begun), *self.ended(recorder, begun))
         return (*self.go_on(begun), CountDecision(begun))
 
-    def ended(self, keeper: Keeper, report: Report) -> Effects:
+    def ended(self, recorder: CommitRecorder, report: Report) -> Effects:
         """Take the final report of a released step."""
-        self._numbers += keeper.numbers
+        self._numbers += recorder.numbers
         return (CountOutcome(report), *self.go_on(report))
 
     def go_on(self, report: Report) -> Effects:

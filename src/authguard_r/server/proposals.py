@@ -21,7 +21,7 @@ from authguard_r.core.identifiers import Digest, Identifier
 from authguard_r.core.ports import Turn
 from authguard_r.core.reasons import Reason
 from authguard_r.enforcement.report import Report
-from authguard_r.server.replayed_response import retold
+from authguard_r.server.replayed_response import replayed_step
 from authguard_r.store.transactions import Ledger, Transaction, read_held
 from authguard_r.wire.disclosure import Disclosure, disclosed
 from authguard_r.wire.gate_limits import LIMITS
@@ -63,7 +63,7 @@ class ProposalRecord(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     steps: tuple[Numbers, ...]
 
 
-class Keeper:
+class CommitRecorder:
     """Holds one step of a proposal in the turn of its decision and of its outcome.
 
     Args:
@@ -125,8 +125,8 @@ class ProposalRegistry:
     def _step(self, turn: Turn, decided: int, ended: int) -> dict[str, Any]:
         decision, sealed = self._record(turn, decided)
         if ended < 0:
-            return retold(decision, sealed, None, {})
-        return retold(decision, sealed, *self._record(turn, ended))
+            return replayed_step(decision, sealed, None, {})
+        return replayed_step(decision, sealed, *self._record(turn, ended))
 
     def _record(self, turn: Turn, number: int) -> tuple[Record, dict[str, Sealed]]:
         rows = turn.rows(number, 1)

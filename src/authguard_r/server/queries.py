@@ -39,7 +39,7 @@ class GateQueries:
     Args:
         gate: ledger and facts.
         config: mode and bounds.
-        motions: open leases.
+        leases: open leases.
         mission: the active mission.
         liveness: who was heard of, and the alerts.
         clients: who is connected.
@@ -53,7 +53,7 @@ class GateQueries:
         gate: Gate,
         config: GateConfig,
         *,
-        motions: LeaseRegistry,
+        leases: LeaseRegistry,
         mission: ActiveMission,
         liveness: Liveness,
         clients: Callable[[], Iterable[ServedClient]],
@@ -63,7 +63,7 @@ class GateQueries:
     ) -> None:
         self._gate = gate
         self._config = config
-        self._motions = motions
+        self._leases = leases
         self.mission = mission
         self._liveness = liveness
         self._clients = clients
@@ -117,7 +117,7 @@ class GateQueries:
                     "for_ms": now_ms - lease.since_ms,
                     "left_ms": lease.until_ms - now_ms,
                 }
-                for lease in self._motions.leases()
+                for lease in self._leases.leases()
             ],
             "clients": [
                 {
@@ -151,7 +151,7 @@ class GateQueries:
             "shed_total": self.counted["shed"],
             "refused_requests_total": self.counted["refused"],
             "stops_total": self.stops,
-            "open_leases": len(self._motions),
+            "open_leases": len(self._leases),
             "clients": dict(roles),
             "controller_connected": int(roles[str(ClientRole.CONTROLLER)] > 0),
             "heard_age_seconds": {
@@ -224,7 +224,7 @@ class GateQueries:
     def _mission_of(self, digest: Digest) -> Mission | None:
         try:
             return self._gate.ledger.run(
-                lambda act: self._gate.enforcer.intake.mission(act, digest).mission
+                lambda act: self._gate.enforcer.inputs.mission(act, digest).mission
             )
         except AuthGuardError:
             return None  # revoked since, or gone: the record is explained without a change

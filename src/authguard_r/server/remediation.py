@@ -46,7 +46,7 @@ def remedy_of(*, emergency: bool = False) -> dict[Reason, str]:
     return {reason: remedy.do for remedy in every for reason in remedy.reasons}
 
 
-def mends_of(codes: Iterable[object], *, emergency: bool = False) -> list[str]:
+def remedies_of(codes: Iterable[object], *, emergency: bool = False) -> list[str]:
     """Return what can be done about these reasons, each once; an unknown code is skipped.
 
     Args:

@@ -176,8 +176,8 @@ class RemoteController:
     def detach(self) -> None:
         """Let a connection go that ended: what ran is in doubt from now on."""
         self._send = None
-        for flight in self._flights.values():
-            flight.leave()
+        for handle in self._flights.values():
+            handle.leave()
 
     def dispatch(self, action: Action, lease: Lease) -> RemoteGoal:
         """Send a released action.
@@ -188,7 +188,7 @@ class RemoteController:
         if self._send is None:
             raise ControllerError("no controller is connected")
         self._admit(action, lease)
-        flight = self._flights[lease.ticket] = RemoteGoal(self._mono_ms())
+        handle = self._flights[lease.ticket] = RemoteGoal(self._mono_ms())
         self._send(
             Kind.DISPATCH,
             Dispatch(
@@ -202,7 +202,7 @@ class RemoteController:
             ),
             0,
         )
-        return flight
+        return handle
 
     def stop(self) -> None:
         """Brake and hold; a controller that is gone stops by itself."""
@@ -264,27 +264,27 @@ class RemoteController:
                 self._unexplained = Unexplained(message.stops, self._mono_ms())
                 self._ask(partial(self._explained, self._unexplained))
             return
-        flight = self._flights.get(message.ticket)
-        if flight is None:
+        handle = self._flights.get(message.ticket)
+        if handle is None:
             return  # of an action that was settled already
         if isinstance(message, Begun):
-            flight.begun = True
+            handle.begun = True
         else:
-            flight.end(message)
+            handle.end(message)
 
     def _give_up_left(self) -> None:
         """End as `unknown` what was sent over an earlier connection and was not reported."""
-        for ticket, flight in self._flights.items():
-            if flight.is_left:
+        for ticket, handle in self._flights.items():
+            if handle.is_left:
                 why = Reason.CONTROLLER_FAILED
-                flight.end(Ended(ticket=ticket, outcome=Outcome.UNKNOWN, why=why))
+                handle.end(Ended(ticket=ticket, outcome=Outcome.UNKNOWN, why=why))
 
     def check(self) -> None:
         """Doubt every action whose begin was not confirmed in time."""
         late = self._mono_ms() - LIMITS.begin_within_ms
-        for flight in self._flights.values():
-            if not flight.begun and flight.dispatched_ms < late:
-                flight.doubt()
+        for handle in self._flights.values():
+            if not handle.begun and handle.dispatched_ms < late:
+                handle.doubt()
 
     def _known_stops(self) -> int:
         """Return the last stop that the gate has heard of, and knows the reason of."""

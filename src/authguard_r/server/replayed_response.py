@@ -21,7 +21,7 @@ from authguard_r.enforcement.json_views import action_json, finding_json
 from authguard_r.enforcement.report import NOT_EVALUATED
 
 
-def retold(
+def replayed_step(
     decision: Record, sealed: dict[str, Sealed], outcome: Record | None, beside: dict[str, Sealed]
 ) -> dict[str, Any]:
     """Return the report of one step, as `json_views.report_json` made it.

@@ -70,7 +70,7 @@ class Service:
         self._foresight = WhatIf(gate, parts.controller, wait_ms=config.state_wait_ms)
         self.leases = LeaseRegistry(parts.controller, parts.streams)
         self.events = EventBus(gate.ledger, lambda: self._clients, parts.journal)
-        mission = ActiveMission(gate.ledger, gate.enforcer.intake)
+        mission = ActiveMission(gate.ledger, gate.enforcer.inputs)
         mono_ms = gate.ledger.mono_ms
         self.liveness = Liveness(config, mono_ms, self.events.alert, mission.phase)
         self.log_maintenance = LogMaintenance(
@@ -85,11 +85,11 @@ class Service:
             view=self.queries,
             look=self.look,
             liveness=self.liveness,
-            notices=self.events,
+            events=self.events,
             mono_ms=mono_ms,
         )
         self._braking = brakes_of(
-            gate, parts.controller, config.mode, book=self.stops, motions=self.leases
+            gate, parts.controller, config.mode, recorder=self.stops, leases=self.leases
         )
         self._questions = OpenQuestions(gate, self.events.publish)
         self._notices = DecisionNotices(
@@ -98,7 +98,7 @@ class Service:
         self._dispatcher = Dispatcher(
             gate,
             plans=self._plans(),
-            motions=self.leases,
+            leases=self.leases,
             look=self.look,
             inbox=parts.inbox,
             view=self.queries,
@@ -117,7 +117,7 @@ class Service:
         return GateQueries(
             self.gate,
             self._config,
-            motions=self.leases,
+            leases=self.leases,
             mission=mission,
             liveness=self.liveness,
             clients=lambda: self._clients,
@@ -133,7 +133,7 @@ class Service:
         return EmergencyCalls(
             self._parts.emergency,
             enforcer=self.gate.enforcer,
-            motions=self.leases,
+            leases=self.leases,
             controller=self._controller,
             liveness=self.liveness,
             publish=self.events.publish,
@@ -148,7 +148,7 @@ class Service:
             parts.binder,
             reader=parts.reader,
             contexts=PlannerContexts(parts.binder, parts.channels),
-            motions=self.leases,
+            leases=self.leases,
             proposals=ProposalRegistry(self.gate.ledger, self._config.disclosure),
             foresight=self._foresight,
             disclosure=self._config.disclosure,
@@ -242,8 +242,11 @@ class Service:
     def refused(self, name: Identifier, error: AuthGuardError) -> None:
         """Record a request, or a connection, that was refused before it was anything."""
         self.queries.counted["refused"] += 1
-        made, fold = partial(refusal_entry, error, client=name), (name, error.reason, error.where)
-        quietly(lambda: self.gate.ledger.refuse(made, fold=fold))
+        made, dedup_key = (
+            partial(refusal_entry, error, client=name),
+            (name, error.reason, error.where),
+        )
+        quietly(lambda: self.gate.ledger.refuse(made, dedup_key=dedup_key))
 
     # turns
 

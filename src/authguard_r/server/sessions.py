@@ -75,10 +75,10 @@ class ServerSession(asyncio.BufferedProtocol):
 
     def __init__(
         self,
-        hall: ConnectionHost,
+        host: ConnectionHost,
         later: Callable[[float, Callable[[], None]], asyncio.TimerHandle],
     ) -> None:
-        self._hall = hall
+        self._hall = host
         self._later = later
         self._buffer = bytearray(LIMITS.chunk_bytes)
         self._reader = FrameReader(opening_bound)

@@ -77,7 +77,7 @@ class StopRecorder:
         view: counts for `status`.
         look: looks at every open lease; called after each stop.
         liveness: alerts.
-        notices: sends to the clients that watch.
+        events: sends to the clients that watch.
         mono_ms: the gate's monotonic clock.
     """
 
@@ -89,7 +89,7 @@ class StopRecorder:
         view: GateQueries,
         look: Callable[[], None],
         liveness: Liveness,
-        notices: EventBus,
+        events: EventBus,
         mono_ms: Callable[[], int],
     ) -> None:
         self._enforcer = enforcer
@@ -97,7 +97,7 @@ class StopRecorder:
         self._view = view
         self._look = look
         self._liveness = liveness
-        self._notices = notices
+        self._events = events
         self._mono_ms = mono_ms
         self._keys: dict[tuple[int, ClientRole, str], _Known] = {}
         self._known: deque[tuple[int, int]] = deque(maxlen=LIMITS.known_stops)
@@ -160,12 +160,12 @@ class StopRecorder:
             self._controller.heard_of(heard.life, heard.stops)
         self._look()
 
-    def lane_lost(self, why: AuthGuardError | None) -> None:
+    def stop_process_lost(self, why: AuthGuardError | None) -> None:
         """Raise the alert that stops are not reported until the stop process is back."""
         self._liveness.holds(_SILENT, is_so=False)
         self._liveness.holds(_GONE, is_so=True, details={} if why is None else {"why": str(why)})
 
-    def lane_silent(self, *, is_silent: bool) -> None:
+    def stop_process_silent(self, *, is_silent: bool) -> None:
         """Say that the stop process is there and does not answer, or does again."""
         self._liveness.holds(_GONE, is_so=False)
         self._liveness.holds(_SILENT, is_so=is_silent)
@@ -217,7 +217,7 @@ class StopRecorder:
         if too_many:
             self._liveness.follow()
             self._liveness.tell("planner stops", {"by": by})
-            self._notices.publish({"event": "alert", "what": "planner stops", "by": by})
+            self._events.publish({"event": "alert", "what": "planner stops", "by": by})
         self._view.mission.changed()
         self._publish(told)
         self._unconfirmed(is_so=stood_ms is None, by=by)
@@ -232,7 +232,7 @@ class StopRecorder:
 
     def _publish(self, told: _ToldStop) -> None:
         event = {"event": "stop", "by": told.by, "role": told.role, "stood_ms": told.stood_ms}
-        self._notices.publish(event)
+        self._events.publish(event)
 
     def _unconfirmed(self, *, is_so: bool, by: Identifier) -> None:
         """Raise the alert at the first unconfirmed stop, until a stop is confirmed."""

@@ -73,9 +73,9 @@ class WhatIf:
         """Let every step go on once there is other state than before, or its time is over."""
         if not self._held:
             return
-        ledger, intake = self._gate.ledger, self._gate.enforcer.intake
-        quietly(intake.refresh)
-        now_ms, newest = ledger.mono_ms(), (intake.newest, ledger.fence, self._can_stop())
+        ledger, inputs = self._gate.ledger, self._gate.enforcer.inputs
+        quietly(inputs.refresh)
+        now_ms, newest = ledger.mono_ms(), (inputs.newest, ledger.fence, self._can_stop())
         is_new, self._seen = newest != self._seen, newest
         held, self._held = self._held, []
         for item in held:
@@ -93,9 +93,9 @@ class WhatIf:
         Raises:
             AuthGuardError: there is no mission to ask about, or the clock is behind.
         """
-        gate, intake = self._gate, self._gate.enforcer.intake
-        state = intake.refresh()
-        verified = gate.ledger.run(intake.active_mission)
+        gate, inputs = self._gate, self._gate.enforcer.inputs
+        state = inputs.refresh()
+        verified = gate.ledger.run(inputs.active_mission)
         standing = gate.ledger.standing(verified.mission.mid)
         remembered = partial(memory_of, standing=standing)
         return evaluate(
@@ -114,9 +114,9 @@ class WhatIf:
         Such state makes a guard or a place unknown, another grant than the right one the closest,
         and a risk higher. The decision itself reports any fault here.
         """
-        gate, intake = self._gate, self._gate.enforcer.intake
+        gate, inputs = self._gate, self._gate.enforcer.inputs
         try:
-            state = intake.refresh()
+            state = inputs.refresh()
             behind = behind_of(state)
             if not behind:
                 return False

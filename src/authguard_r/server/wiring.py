@@ -113,7 +113,7 @@ class GateStore(Struct, frozen=True, kw_only=True):
     Args:
         ledger: store and trusted time.
         anchor: whether the store is the one that was counted outside of it.
-        intake: verifies what enters.
+        inputs: verifies what enters.
         facts: the site and who this gate is.
         trust: the trust root.
         chain: the gate's own certificate chain.
@@ -122,7 +122,7 @@ class GateStore(Struct, frozen=True, kw_only=True):
 
     ledger: Ledger
     anchor: StoreAnchor
-    intake: InputVerifier
+    inputs: InputVerifier
     facts: SiteFacts
     trust: Trust
     chain: tuple[bytes, ...]
@@ -175,11 +175,11 @@ def open_gate_store(
     except BaseException:
         store.close()  # it was handed over; a gate that is not made holds nothing
         raise
-    intake = InputVerifier(ledger, trust, source=source, facts=facts, anchor=anchor)
+    inputs = InputVerifier(ledger, trust, source=source, facts=facts, anchor=anchor)
     return GateStore(
         ledger=ledger,
         anchor=anchor,
-        intake=intake,
+        inputs=inputs,
         facts=facts,
         trust=trust,
         chain=chain,
@@ -211,16 +211,16 @@ def join(
         AuthenticityError: a revocation list that the store holds revokes the gate itself.
         StoreError: what the store holds cannot be used.
     """
-    ledger, intake, facts = opened.ledger, opened.intake, opened.facts
+    ledger, inputs, facts = opened.ledger, opened.inputs, opened.facts
     watch = LeaseMonitor(
-        ledger, intake, facts=facts, controller=controller, stand_within_ms=stand_within_ms
+        ledger, inputs, facts=facts, controller=controller, stand_within_ms=stand_within_ms
     )
     management = Management(
-        ledger, intake, verifier=opened.trust, facts=facts, sealing=opened.sealing
+        ledger, inputs, verifier=opened.trust, facts=facts, sealing=opened.sealing
     )
     enforcer = Enforcer(
         ledger,
-        intake,
+        inputs,
         facts=facts,
         safety=safety,
         watch=watch,
@@ -310,7 +310,7 @@ def _anchor(ledger: Ledger, log: LogSettings, reading: CounterReading) -> StoreA
         counter=log.counter,
         signer=None if log.counter is None else log.signer,
         reading=reading,
-        notary=keeps,
+        scheduler=keeps,
     )
 
 
@@ -330,7 +330,7 @@ def _lists(ledger: Ledger, enforcer: Enforcer, trust: Trust, *, chain: tuple[byt
         enforcer.require(identified)
         enforcer.stop(by=Identifier("gate"), is_planner=False)
 
-    lists = Lists(ledger, enforcer.intake, trust, chain=chain, dismissed=dismissed)
+    lists = Lists(ledger, enforcer.inputs, trust, chain=chain, dismissed=dismissed)
     try:
         if lists.begin():
             trust.gate_identity(chain, Now(ledger.last_ms(), 0))

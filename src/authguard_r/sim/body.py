@@ -56,9 +56,9 @@ class SymbolicBody:
             ControllerError: it cannot be begun.
         """
         begin = self.robot.begin_stream if self.streams(action) else self.robot.begin
-        flight = begin(action)
+        handle = begin(action)
         del self.robot.trace[:-1]  # a process lives long
-        return flight
+        return handle
 
     def streams(self, action: Action) -> bool:
         """Return True for a velocity."""

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from authguard_r.client.attesting import Attester, AttestingEnd, Measurement
 from authguard_r.client.handshake import GateVerifier
-from authguard_r.client.link import ProcessLog, require_folder, run_all, until_told, wall_now
+from authguard_r.client.link import ProcessLog, require_folder, run_all, until_signal, wall_now
 from authguard_r.client.sensing import listen, read_raw
 from authguard_r.core.identifiers import RobotId
 from authguard_r.core.principals import Signer
@@ -101,4 +101,4 @@ def run_estimator(
     """
     require_folder(run)
     process = EstimatorProcess(robot, signer, run, trust=trust, rate_hz=rate_hz, ready=ready)
-    asyncio.run(until_told(process.serve))
+    asyncio.run(until_signal(process.serve))

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from authguard_r.client.driver import TICK_S, Driver
 from authguard_r.client.handshake import GateVerifier
-from authguard_r.client.link import ProcessLog, mono_ms, require_folder, run_all, until_told
+from authguard_r.client.link import ProcessLog, mono_ms, require_folder, run_all, until_signal
 from authguard_r.sim.body import SymbolicBody
 from authguard_r.sim.robot import SymbolicRobot
 from authguard_r.sim.sensors import LOOK_MS, SensorServer
@@ -81,4 +81,4 @@ def run_robot(
     """
     require_folder(run)
     process = RobotProcess(robot, run, trust=trust, speed_up=speed_up, ready=ready)
-    asyncio.run(until_told(process.serve))
+    asyncio.run(until_signal(process.serve))

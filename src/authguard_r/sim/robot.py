@@ -144,7 +144,7 @@ class SymbolicRobot:
         self._start_ms = start_ms
         self._epoch = epoch
         self._seq = 0
-        self._flight: SimulatedGoal | None = None
+        self._handle: SimulatedGoal | None = None
         self._path: tuple[Point, ...] = ()
         self._path_done_um = 0
         self._left_ms = 0
@@ -218,11 +218,11 @@ class SymbolicRobot:
         took = duration_ms(self.site, self.state, action)
         if took is None:
             raise ControllerError("the action cannot be carried out from here")
-        flight = self._fly(action, took)
+        handle = self._fly(action, took)
         self._path = plan_path(self.site, self.state, self._steered(action)) or ()
         if took == 0:
-            self._finish(flight)
-        return flight
+            self._finish(handle)
+        return handle
 
     def begin_stream(self, action: Action) -> SimulatedGoal:
         """Begin to move by a velocity, which `steer` changes, for as long as the action says.
@@ -233,10 +233,10 @@ class SymbolicRobot:
             ControllerError: it cannot be begun.
         """
         self._require_idle()
-        flight = self._fly(action, action.params.get(DURATION, 0))
+        handle = self._fly(action, action.params.get(DURATION, 0))
         self._rest_um = (0, 0)
         self.steer(asked_velocity(action.params))
-        return flight
+        return handle
 
     def steer(self, velocity: Velocity) -> None:
         """Change the velocity of the stream that runs; brakes that act are not let go for it."""
@@ -249,12 +249,12 @@ class SymbolicRobot:
 
         A robot whose profile does not say how it brakes stands at once.
         """
-        flight, rate = self._flight, self.site.robots[self.rid].profile.brake_mm_s2
-        if flight is None or flight.ended is not None or self._brake is not None:
+        handle, rate = self._handle, self.site.robots[self.rid].profile.brake_mm_s2
+        if handle is None or handle.ended is not None or self._brake is not None:
             return
         speed = self.state.speed_mm_s
         if rate is None or speed == 0:
-            self._end(flight, outcome)
+            self._end(handle, outcome)
             return
         brake = Brake(
             speed_mm_s=speed,
@@ -270,26 +270,26 @@ class SymbolicRobot:
     def stop(self) -> None:
         """Stand and hold, at once: for a run in simulated time, whose gate waits for no brakes."""
         self.stops += 1
-        flight = self._flight
-        if flight is not None and flight.ended is None:
-            self._end(flight, Outcome.ABORTED)
-        self._flight = None
+        handle = self._handle
+        if handle is not None and handle.ended is None:
+            self._end(handle, Outcome.ABORTED)
+        self._handle = None
         self.state = msgspec.structs.replace(self.state, speed_mm_s=0)
         self._observe()
 
     def _require_idle(self) -> None:
         if self.faults.controller_refuses:
             raise ControllerError("the controller does not answer")
-        if self._flight is not None and self._flight.ended is None:
+        if self._handle is not None and self._handle.ended is None:
             raise ControllerError("another action runs")
 
     def _fly(self, action: Action, took_ms: int) -> SimulatedGoal:
-        self._flight = SimulatedGoal(self, action)
+        self._handle = SimulatedGoal(self, action)
         self._left_ms, self._path_done_um, self._velocity = took_ms, 0, None
         self.trace.append(
             Executed(action=action, before=self.state, utc_ms=self.wall_ms(), outcome=None)
         )
-        return self._flight
+        return self._handle
 
     # the world
 
@@ -300,48 +300,48 @@ class SymbolicRobot:
         return msgspec.structs.replace(action, destination=self.faults.drift_to, route=())
 
     def _advance(self, tick_ms: int) -> None:
-        flight = self._flight
-        if flight is None or flight.ended is not None:
+        handle = self._handle
+        if handle is None or handle.ended is not None:
             return
         if self._brake is not None:
-            self._slow_down(flight, self._brake, tick_ms)
+            self._slow_down(handle, self._brake, tick_ms)
             return
         self._left_ms -= tick_ms
         if self._velocity is not None:
-            self._drift(flight, self._velocity, tick_ms)
-        elif flight.action.type in DRIVEN:
-            self._drive(flight, tick_ms)
+            self._drift(handle, self._velocity, tick_ms)
+        elif handle.action.type in DRIVEN:
+            self._drive(handle, tick_ms)
         else:
-            flight.waited_ms += tick_ms if flight.action.type == "wait" else 0
+            handle.waited_ms += tick_ms if handle.action.type == "wait" else 0
             if self._left_ms <= 0:
-                self._finish(flight)
+                self._finish(handle)
 
-    def _drive(self, flight: SimulatedGoal, tick_ms: int) -> None:
-        speed = speed_of(flight.action) * self.faults.overspeed_permille // 1_000
-        flight.moved_ms += tick_ms
+    def _drive(self, handle: SimulatedGoal, tick_ms: int) -> None:
+        speed = speed_of(handle.action) * self.faults.overspeed_permille // 1_000
+        handle.moved_ms += tick_ms
         self._path_done_um += speed * tick_ms
-        timed = flight.action.type == "drive"
+        timed = handle.action.type == "drive"
         if self._left_ms <= 0 if timed else self._is_at_the_end(self._path_done_um):
-            self._finish(flight)
+            self._finish(handle)
             return
         self._be_at(along(self._path, self._path_done_um // 1_000), speed)
 
-    def _drift(self, flight: SimulatedGoal, velocity: Velocity, tick_ms: int) -> None:
+    def _drift(self, handle: SimulatedGoal, velocity: Velocity, tick_ms: int) -> None:
         """Move by a velocity; what is left below a millimeter is kept for the next tick."""
-        flight.moved_ms += tick_ms
+        handle.moved_ms += tick_ms
         there, self._rest_um = drifted(self.state, velocity, self._rest_um, tick_ms)
         turned = velocity.turn_urad_s * tick_ms // 1_000
         heading = (self.state.heading_urad + turned) % FULL_TURN_URAD
         self.state = msgspec.structs.replace(self.state, heading_urad=heading)
         if not self._is_there_room(there):
-            self._end(flight, Outcome.FAILED)
+            self._end(handle, Outcome.FAILED)
             return
         self._be_at(there, velocity.speed_mm_s)
         if self._left_ms <= 0:
-            self._end(flight, Outcome.SUCCEEDED)
+            self._end(handle, Outcome.SUCCEEDED)
 
-    def _slow_down(self, flight: SimulatedGoal, brake: Brake, tick_ms: int) -> None:
-        flight.moved_ms += tick_ms
+    def _slow_down(self, handle: SimulatedGoal, brake: Brake, tick_ms: int) -> None:
+        handle.moved_ms += tick_ms
         passed = self.elapsed_ms - brake.since_ms
         done, speed = brake.done_um + way_um(brake, passed), speed_after(brake, passed)
         there = along(self._path, done // 1_000)
@@ -349,7 +349,7 @@ class SymbolicRobot:
         if not stuck:
             self._be_at(there, speed)
         if stuck or speed == 0 or (self._velocity is None and self._is_at_the_end(done)):
-            self._end(flight, brake.outcome)
+            self._end(handle, brake.outcome)
 
     def _be_at(self, point: Point, speed_mm_s: int) -> None:
         self.state = msgspec.structs.replace(
@@ -363,21 +363,21 @@ class SymbolicRobot:
         """True when the point is in a region: outside all of them there are walls."""
         return region_at(self.site, self.state, point) is not None
 
-    def _finish(self, flight: SimulatedGoal) -> None:
-        action = self._steered(flight.action)
-        grips = flight.action.type in {"pick", "place"}
+    def _finish(self, handle: SimulatedGoal) -> None:
+        action = self._steered(handle.action)
+        grips = handle.action.type in {"pick", "place"}
         after = delta(self.site, self.trace[-1].before, action)
         if after is None or (grips and self.faults.grasp_fails):
-            self._end(flight, Outcome.FAILED)
+            self._end(handle, Outcome.FAILED)
             return
-        flight.recorded_bytes = after.recorded_bytes - self.state.recorded_bytes
+        handle.recorded_bytes = after.recorded_bytes - self.state.recorded_bytes
         self.state = msgspec.structs.replace(
             after, human_distance_mm=self.state.human_distance_mm, doors=self.state.doors
         )
-        self._end(flight, Outcome.SUCCEEDED)
+        self._end(handle, Outcome.SUCCEEDED)
 
-    def _end(self, flight: SimulatedGoal, outcome: Outcome) -> None:
-        flight.ended = outcome
+    def _end(self, handle: SimulatedGoal, outcome: Outcome) -> None:
+        handle.ended = outcome
         self._brake = None
         self.trace[-1] = msgspec.structs.replace(self.trace[-1], outcome=outcome)
         region = self._region_here()

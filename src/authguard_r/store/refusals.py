@@ -164,23 +164,23 @@ class Refusals:
         self._looked_ms = self._mono_ms()
         self._has_room = False
 
-    def at_once(self, fold: Fold) -> bool:
+    def at_once(self, dedup_key: Fold) -> bool:
         """True when this one is to be recorded now: it does not wait, and it is no repeat."""
         if self.policy.delay_ms > 0 or not self.may_write():
             return False
         with self._lock:
-            return self._opens(_cut(fold))
+            return self._opens(_cut(dedup_key))
 
-    def recorded(self, fold: Fold) -> None:
+    def recorded(self, dedup_key: Fold) -> None:
         """Count what repeats this one, which was recorded, from now on."""
         with self._lock:
-            if self.policy.fold_ms > 0 and self._opens(_cut(fold)):
-                self._open(_cut(fold), "repeated")
+            if self.policy.fold_ms > 0 and self._opens(_cut(dedup_key)):
+                self._open(_cut(dedup_key), "repeated")
 
-    def take(self, entry: Entry, fold: Fold) -> None:
+    def take(self, entry: Entry, dedup_key: Fold) -> None:
         """Let a refusal wait, or count it when it is a repeat or there is no room for it."""
         has_room = self.may_write()
-        key = _cut(fold)
+        key = _cut(dedup_key)
         # what cannot be spelled fails here, not in front of another commit
         data = encode_fast(entry)
         with self._lock:
@@ -345,10 +345,10 @@ class RecordBatch:
         return seq
 
 
-def _user(fold: Fold) -> str:
+def _user(dedup_key: Fold) -> str:
     """Return whose client it is: what stands in front of its own name."""
-    return fold[0].partition(".")[0]
+    return dedup_key[0].partition(".")[0]
 
 
-def _cut(fold: Fold) -> Fold:
-    return fold[0], fold[1], fold[2][: LIMITS.place_characters]
+def _cut(dedup_key: Fold) -> Fold:
+    return dedup_key[0], dedup_key[1], dedup_key[2][: LIMITS.place_characters]

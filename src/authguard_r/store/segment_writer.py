@@ -16,14 +16,7 @@ from authguard_r.core.errors import StoreError
 from authguard_r.store.cells import Cells, store_error
 from authguard_r.store.folder import Folder
 from authguard_r.store.layout import ONLY_FORGETS, TABLES
-from authguard_r.store.segments import (
-    CHECKPOINT,
-    PART,
-    SEALED,
-    SEGMENT_FORMAT,
-    SEGMENT_ID,
-    name_of,
-)
+from authguard_r.store.segments import CHECKPOINT, PART, SEALED, SEGMENT_FORMAT, SEGMENT_ID, name_of
 
 _CLOSED = """
 CREATE TRIGGER audit_no_insert BEFORE INSERT ON audit

@@ -25,22 +25,9 @@ from authguard_r.core.ports import Turn
 from authguard_r.core.reasons import Reason
 from authguard_r.store.cells import blob, cells, first_row, held_value, store_error
 from authguard_r.store.folder import Folder
-from authguard_r.store.layout import (
-    ALONE,
-    APPLICATION_ID,
-    FORMAT,
-    erase,
-    prepare,
-    require_format,
-)
+from authguard_r.store.layout import ALONE, APPLICATION_ID, FORMAT, erase, prepare, require_format
 from authguard_r.store.reserve import Reserve
-from authguard_r.store.segments import (
-    FORGET,
-    Segment,
-    Segments,
-    read_forgets,
-    read_index,
-)
+from authguard_r.store.segments import FORGET, Segment, Segments, read_forgets, read_index
 from authguard_r.store.turn import SqliteTurn
 from authguard_r.store.untrusted import ReadMeter, in_order, open_stranger
 from authguard_r.wire.gate_limits import LIMITS

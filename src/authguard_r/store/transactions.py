@@ -254,12 +254,12 @@ class Ledger:
 
         return self._in_turn(turn_job, essential=essential)
 
-    def refuse(self, entry: Callable[[int], Entry], *, fold: Fold) -> int | None:
+    def refuse(self, entry: Callable[[int], Entry], *, dedup_key: Fold) -> int | None:
         """Record a refusal that no act decided, now or later as the policy says.
 
         Args:
             entry: makes the entry from the last trusted time.
-            fold: client, reason and place; repeats of all three are counted.
+            dedup_key: client, reason and place; repeats of all three are counted.
 
         Returns:
             Its number in the log; None when it waits or was only counted.
@@ -267,11 +267,11 @@ class Ledger:
         Raises:
             StoreError: it was to be recorded now, and was not.
         """
-        if self.refusals.at_once(fold):
+        if self.refusals.at_once(dedup_key):
             seq = self.note(entry)
-            self.refusals.recorded(fold)
+            self.refusals.recorded(dedup_key)
             return seq
-        self.refusals.take(entry(self.last_ms()), fold)
+        self.refusals.take(entry(self.last_ms()), dedup_key)
         return None
 
     def flush(self, *, everything: bool = False) -> bool:
@@ -321,11 +321,11 @@ class Ledger:
                 over = known is not None and known[1].status in TERMINAL
                 self.endings += standing.status in TERMINAL and not over
                 self._standings[mid] = (act.order, standing)
-        for entry, fold, seq in act.refused:
+        for entry, dedup_key, seq in act.refused:
             if seq is None:
-                self.refusals.take(entry, fold)
+                self.refusals.take(entry, dedup_key)
             else:
-                self.refusals.recorded(fold)
+                self.refusals.recorded(dedup_key)
 
     def _open(self, turn: Turn, genesis: dict[str, object], inputs: dict[str, object]) -> None:
         held = turn.get("clock", "high")
@@ -346,9 +346,7 @@ class Ledger:
             turn.put("log", "place", _place(genesis))
         elif turn.get("log", "robot") != self.robot.encode("ascii"):
             raise StoreError(
-                f"expected the store of `{self.robot}`",
-                where="store",
-                reason=Reason.ROBOT_MISMATCH,
+                f"expected the store of `{self.robot}`", where="store", reason=Reason.ROBOT_MISMATCH
             )
         elif turn.get("log", "place") != _place(genesis):
             self._move(turn, genesis, inputs)
@@ -495,20 +493,20 @@ class Transaction:
         self.changed = True
         return self._page.record(entry)
 
-    def refuse(self, entry: Entry, *, fold: Fold) -> int | None:
+    def refuse(self, entry: Entry, *, dedup_key: Fold) -> int | None:
         """Record a refusal, now or later as the policy says.
 
         One that changed something in this act, before this call, is recorded with the change.
 
         Args:
             entry: its record.
-            fold: client, reason and place; repeats of all three are counted.
+            dedup_key: client, reason and place; repeats of all three are counted.
 
         Returns:
             Its number in the log; None when it waits or was only counted.
         """
-        seq = self.record(entry) if self.changed or self._refusals.at_once(fold) else None
-        self.refused.append((entry, fold, seq))
+        seq = self.record(entry) if self.changed or self._refusals.at_once(dedup_key) else None
+        self.refused.append((entry, dedup_key, seq))
         return seq
 
 

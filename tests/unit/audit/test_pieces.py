@@ -516,7 +516,7 @@ def test_a_helper_that_is_free_when_nothing_is_left_is_given_nothing(threads: No
     with parallel._Helpers(1) as helpers:
         helpers.start()
         (helper,) = helpers.answers(wait_for=True)
-        course = parallel._Course(reading, LogVerifier(), helpers, 0)
+        course = parallel._Verification(reading, LogVerifier(), helpers, 0)
         course._hand_out()
         assert helper.is_free
         assert course.run() == verify_rows(())

@@ -16,7 +16,7 @@ from authguard_r.sim.sight import snapshot_of
 from authguard_r.wire.frames import Frame
 from authguard_r.wire.messages import Fault, Kind
 from fixtures import scenarios
-from unit.sim.desks import framed
+from unit.sim.controller_bench import framed
 
 
 def end(readied: list[bool]) -> AttestingEnd:

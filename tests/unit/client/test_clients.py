@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from authguard_r.client import AsyncGateClient, GateClient
-from authguard_r.client.handshake import Greeting
+from authguard_r.client.handshake import Handshake
 from authguard_r.client.start import begin
 from authguard_r.core.errors import (
     AuthenticityError,
@@ -857,7 +857,7 @@ def test_a_gate_that_reads_slowly_gets_it_all() -> None:
 
 
 def test_an_answer_that_nobody_takes_is_forgotten() -> None:
-    session = begin(Greeting(role=OPERATOR, client="desk"))
+    session = begin(Handshake(role=OPERATOR, client="desk"))
     hello = read_body(session.hello()[HEADER_BYTES:], Hello)
     session.receive(frame(Kind.WELCOME, 0, welcome_of(hello)))
     number = session.request(Kind.STATUS, Nothing()).number

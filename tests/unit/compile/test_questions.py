@@ -251,8 +251,8 @@ def test_ways_avoid_what_is_private_unless_it_is_the_end() -> None:
     )
     assert quiet_path(around, "dock", "pharmacy") == ()
     assert reachable(around, "dock") == {"dock", "office-1", "pharmacy"}
-    desk = SET(site.regions["pharmacy"], within="pharmacy")
-    nested = SET(site, regions={**site.regions, "desk": desk}, doors=())
+    session = SET(site.regions["pharmacy"], within="pharmacy")
+    nested = SET(site, regions={**site.regions, "desk": session}, doors=())
     assert quiet_path(nested, "pharmacy", "desk") == ("pharmacy", "desk")
     assert quiet_path(nested, "desk", "pharmacy") == ("desk", "pharmacy")
     private = SET(around, doors=around.doors[:1])

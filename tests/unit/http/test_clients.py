@@ -13,7 +13,7 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from authguard_r.authoring.keys.setup import Member, init_folder
 from authguard_r.core.identifiers import PrincipalId
 from authguard_r.core.quantities import Now
-from authguard_r.integrations.http.clients import ROLES, Certificates, Doorkeeper
+from authguard_r.integrations.http.clients import ROLES, Authenticator, Certificates
 from authguard_r.integrations.http.faults import RequestError
 from authguard_r.keys.certificate import Role
 from authguard_r.keys.trust import read_trust
@@ -75,4 +75,4 @@ def test_without_a_trust_root_nobody_can_say(tmp_path: Path) -> None:
 
 def test_somebody_is_asked_for_something() -> None:
     with pytest.raises(ValueError, match="something"):
-        Doorkeeper(None, None)
+        Authenticator(None, None)

@@ -16,7 +16,7 @@ from authguard_r.client.reconnecting import GatePlace
 from authguard_r.core.identifiers import Identifier
 from authguard_r.integrations.http import gate_connection
 from authguard_r.integrations.http.app import _as
-from authguard_r.integrations.http.clients import Doorkeeper
+from authguard_r.integrations.http.clients import Authenticator
 from authguard_r.integrations.http.edge import Edge
 from authguard_r.integrations.http.gate_connection import AwayError, GateLink
 from authguard_r.integrations.http.messages import StatusMessage
@@ -43,7 +43,7 @@ def answered(app: Any) -> list[dict[str, Any]]:
     async def send(message: Any) -> None:
         sent.append(message)
 
-    asyncio.run(Edge(app, Doorkeeper(TOKEN, None), None, Lines(2))(dict(SCOPE), None, send))  # type: ignore[arg-type]
+    asyncio.run(Edge(app, Authenticator(TOKEN, None), None, Lines(2))(dict(SCOPE), None, send))  # type: ignore[arg-type]
     return sent
 
 

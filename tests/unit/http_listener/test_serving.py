@@ -28,7 +28,7 @@ from authguard_r.integrations.http_listener.connection import (
     HttpConnection,
     let_in,
 )
-from authguard_r.integrations.http_listener.server import Acceptor, serve_until_told
+from authguard_r.integrations.http_listener.server import Acceptor, serve_until_signal
 from authguard_r.wire.json_log import Lines
 
 LIMITS = AdmissionLimits(connections=4, body=0)
@@ -63,7 +63,7 @@ def served(
         with listening("127.0.0.1:0") as made, log.open("wb") as file:
             address = made.getsockname()
             lines = Lines(file.fileno())
-            serving = asyncio.ensure_future(serve_until_told(app, made, limits, lines))
+            serving = asyncio.ensure_future(serve_until_signal(app, made, limits, lines))
             try:
                 async with asyncio.timeout(2 * SOON_S):
                     await asyncio.to_thread(said, app, address)
@@ -223,7 +223,7 @@ def test_it_serves_until_it_is_told_to_end(number: signal.Signals, tmp_path: Pat
     async def run() -> None:
         with listening("127.0.0.1:0") as made:
             serving = asyncio.ensure_future(
-                serve_until_told(Answers(), made, LIMITS, Lines(2), has_lifespan=False)
+                serve_until_signal(Answers(), made, LIMITS, Lines(2), has_lifespan=False)
             )
             await asyncio.sleep(0.05)
             os.kill(os.getpid(), number)

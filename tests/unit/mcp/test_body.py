@@ -55,10 +55,10 @@ async def until(holds: Callable[[], bool]) -> None:
 
 
 def test_how_a_call_ended_is_said_once() -> None:
-    flight = ToolGoal(scenarios.site().vocabulary["navigate"])
-    flight.end(Outcome.UNKNOWN)
-    flight.end(Outcome.SUCCEEDED)
-    assert flight.outcome() is Outcome.UNKNOWN
+    handle = ToolGoal(scenarios.site().vocabulary["navigate"])
+    handle.end(Outcome.UNKNOWN)
+    handle.end(Outcome.SUCCEEDED)
+    assert handle.outcome() is Outcome.UNKNOWN
 
 
 def test_what_no_tool_carries_is_not_begun() -> None:
@@ -84,11 +84,11 @@ def test_a_brake_after_the_end_stops_nothing_a_second_time() -> None:
             site=site, binder=Binder(site, binding), rebuilder=Rebuilder(site, binding)
         )
         body = ToolBody(scenarios.RID, server, means, lambda: None, ProcessLog())
-        flight = body.begin(scenarios.navigate("dock", "pharmacy"), scenarios.TICKET)
-        await until(lambda: flight.outcome() is not None)
-        ended = flight.outcome()
+        handle = body.begin(scenarios.navigate("dock", "pharmacy"), scenarios.TICKET)
+        await until(lambda: handle.outcome() is not None)
+        ended = handle.outcome()
         body.brake()
-        assert (flight.outcome(), body.stands) == (ended, True)
+        assert (handle.outcome(), body.stands) == (ended, True)
 
     connected("noise", work)
 

@@ -270,14 +270,14 @@ def _ended(sim: Simulation, action: Action, outcome: Outcome) -> Report:
             return outcome
 
         def used(self) -> Any:
-            return flight.used()
+            return handle.used()
 
     def dispatch(released: Action, lease: Any) -> Any:
-        nonlocal flight
-        flight = begun(released, lease)
+        nonlocal handle
+        handle = begun(released, lease)
         return Ended()
 
-    flight: Any = None
+    handle: Any = None
     sim.robot.dispatch = dispatch  # type: ignore[method-assign]
     report: Report = scenarios.propose(sim, action)
     sim.robot.dispatch = begun  # type: ignore[method-assign]
@@ -421,7 +421,7 @@ def test_recovery_that_sees_that_it_was_done_settles_the_memory() -> None:
     sim = begin(LOOKED, made=msgspec.structs.replace(made, actions=seen))
     _ended(sim, SCAN, Outcome.UNKNOWN)
     assert memory(sim) != unb64(held(sim).succeeded)
-    sim.gate.enforcer.intake.refresh()
+    sim.gate.enforcer.inputs.refresh()
     assert sim.gate.management.recover() == ()
     assert memory(sim) == unb64(held(sim).succeeded)
 

@@ -30,8 +30,8 @@ import msgspec
 from authguard_r.access.gate_config import GateConfig, Peer, default_config
 from authguard_r.audit.record import Record, read_record, read_sealed
 from authguard_r.authoring.keys.setup import demo_members, init_folder
-from authguard_r.client.controller import ControllerDesk, MessageSource, OutgoingMessage
-from authguard_r.client.handshake import Greeting
+from authguard_r.client.controller import ControllerSession, MessageSource, OutgoingMessage
+from authguard_r.client.handshake import Handshake
 from authguard_r.client.proof import prove
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, b64, digest_of
@@ -80,7 +80,7 @@ from authguard_r.wire.messages import (
     StopHeard,
 )
 from fixtures import scenarios
-from unit.sim.desks import NONCE, braking_site, greeting
+from unit.sim.controller_bench import NONCE, braking_site, handshake
 
 #: The gate looks this often, and the estimator too.
 STEP_MS = 50
@@ -240,7 +240,7 @@ class DemoGate:
         self.crashes = False
         self._orders = itertools.count(1)
         self._moved_ms = self.clock.ms
-        self.desk: ControllerDesk | None = None
+        self.session: ControllerSession | None = None
         self._lives = 0
         self._store = store or MemoryStore()
         self._speed_up = speed_up
@@ -274,7 +274,7 @@ class DemoGate:
             opened.facts,
             opened.ledger.mono_ms,
             stopping_mm=partial(stopping_mm, self.site.robots[scenarios.RID].profile),
-            state=lambda: opened.intake.newest,
+            state=lambda: opened.inputs.newest,
         )
         #: refuses a dispatch, where a test wants one refused
         self.admit: Callable[[Action, Lease], None] = bounds.admit
@@ -422,14 +422,14 @@ class DemoGate:
         """Let the robot's controller connect; a new desk counts from its own start."""
         self.controller = self.enter(ClientRole.CONTROLLER, "controller-courier-1", nonce=NONCE)
         self._lives += 1
-        self.desk = ControllerDesk(
+        self.session = ControllerSession(
             SymbolicBody(self.robot, speed_up=self._speed_up),
             life=self._lives,
             now_ms=self.clock.ms,
         )
         welcome = self.controller.got.pop(0)
         proven = prove(welcome, greeting_of(self.folder), nonce=NONCE, now=scenarios.NOW)
-        self._deliver(self.desk.opened(MessageSource.GATE, proven, self.clock.ms))
+        self._deliver(self.session.opened(MessageSource.GATE, proven, self.clock.ms))
 
     def client(self, guest: Guest) -> ServedClient:
         """Return a guest as the gate sees it."""
@@ -446,8 +446,8 @@ class DemoGate:
 
     def look(self) -> None:
         """Do what happens every 50 ms."""
-        if self.desk is not None and self.controller is not None:
-            self._deliver(self.desk.tick(self.clock.ms))
+        if self.session is not None and self.controller is not None:
+            self._deliver(self.session.tick(self.clock.ms))
         else:
             self.robot.pause(self.clock.ms - self._moved_ms)  # its world goes on without it
         self._moved_ms = self.clock.ms
@@ -468,13 +468,13 @@ class DemoGate:
 
     def pump(self) -> None:
         """Bring what the gate said to the controller's desk, and its answers back, until quiet."""
-        while self.desk is not None and self.controller is not None:
+        while self.session is not None and self.controller is not None:
             self.controller.pull()
             came, self.controller.got = self.controller.got, []
             if not came:
                 return
             for item in came:
-                self._deliver(self.desk.handle(MessageSource.GATE, item, self.clock.ms))
+                self._deliver(self.session.handle(MessageSource.GATE, item, self.clock.ms))
 
     def _deliver(self, sent: tuple[OutgoingMessage, ...]) -> None:
         for one in sent:
@@ -545,7 +545,7 @@ class DemoGate:
             "time_ms": self.clock.wall_ms(),
             "why": "",
             "stood_ms": 40,
-            "life": 0 if self.desk is None else self.desk.life,
+            "life": 0 if self.session is None else self.session.life,
         }
         heard = StopHeard(**{**fields, **more})
         self.do(lambda: self.service.stops.stopped(heard))
@@ -580,8 +580,8 @@ def reasons(step: dict[str, Any]) -> list[str]:
     return [r if isinstance(r, str) else r["reason"] for r in step["execution"]["reasons"]]
 
 
-def greeting_of(folder: Path) -> Greeting:
-    return msgspec.structs.replace(greeting(), verifier=read_trust(folder))
+def greeting_of(folder: Path) -> Handshake:
+    return msgspec.structs.replace(handshake(), verifier=read_trust(folder))
 
 
 def page(guest: Guest, first: int = 0, count: int = 1_000) -> list[dict[str, Any]]:

@@ -72,7 +72,7 @@ def test_a_day_without_any_cause_raises_no_alert() -> None:
     with EmergencyGate(mission=worlds_mission()) as house:
         client = planner(house)
         listen(house)
-        house.do(lambda: house.service.stops.lane_silent(is_silent=False))
+        house.do(lambda: house.service.stops.stop_process_silent(is_silent=False))
         house.activate()
         for plan in (SCAN, GO, FORBIDDEN, SCAN):
             listen(house)
@@ -256,13 +256,13 @@ def test_a_lane_is_silent_or_gone_and_neither_once_it_answers() -> None:
     silent, gone = "the stop lane does not answer", "the stop lane is gone"
     with DemoGate(robot=False) as house:
         lane = house.service.stops
-        house.do(partial(lane.lane_silent, is_silent=False))
+        house.do(partial(lane.stop_process_silent, is_silent=False))
         assert shown(house) == []
-        house.do(partial(lane.lane_silent, is_silent=True))
+        house.do(partial(lane.stop_process_silent, is_silent=True))
         assert (shown(house, silent), shown(house, gone)) == ([False], [])
-        house.do(lambda: lane.lane_lost(None))
+        house.do(lambda: lane.stop_process_lost(None))
         assert (shown(house, silent), shown(house, gone)) == ([True], [False])
-        house.do(partial(lane.lane_silent, is_silent=False))
+        house.do(partial(lane.stop_process_silent, is_silent=False))
         assert (shown(house, silent), shown(house, gone)) == ([True], [True])
 
 

@@ -90,16 +90,16 @@ def test_a_fault_of_ours_is_an_answer_and_everybody_is_served_on() -> None:
 def test_a_snapshot_is_taken_in_once_and_its_replay_leaves_the_last_in_force() -> None:
     with DemoGate(robot=False) as house:
         assert house.estimator is not None
-        taken = house.gate.enforcer.intake.newest
+        taken = house.gate.enforcer.inputs.newest
         house.advance(200)
-        newest = house.gate.enforcer.intake.newest
+        newest = house.gate.enforcer.inputs.newest
         assert newest is not None
         assert newest is not taken
         for _ in range(2):  # the very same again is a replay, too
             with pytest.raises(Refused) as again:
                 house.estimator.ask(Kind.SNAPSHOT, Attest(token=house._said or b""))
             assert again.value.code == "STATE_REPLAYED"
-            assert house.gate.enforcer.intake.newest is newest
+            assert house.gate.enforcer.inputs.newest is newest
         old = snapshot_of(house.robot.state, robot=scenarios.RID, epoch=1, seq=0)
         signed = sign_object(old, Tag.STATE, house.signer(f"estimator-{scenarios.RID}"))
         for token, code in (
@@ -111,7 +111,7 @@ def test_a_snapshot_is_taken_in_once_and_its_replay_leaves_the_last_in_force() -
             with pytest.raises(Refused) as refused:
                 house.estimator.ask(Kind.SNAPSHOT, Attest(token=token))
             assert refused.value.code == code
-        assert house.gate.enforcer.intake.newest is newest
+        assert house.gate.enforcer.inputs.newest is newest
         assert [r.open["reasons"] for r in house.log("intake")] == [
             ["STATE_REPLAYED"],
             ["MALFORMED"],  # and its repeat is counted
@@ -123,7 +123,7 @@ def test_a_snapshot_before_any_other_that_is_forged_gives_no_state() -> None:
         estimator = house.enter(ClientRole.ESTIMATOR)
         with pytest.raises(Refused):
             estimator.ask(Kind.SNAPSHOT, Attest(token=b"{}"))
-        assert house.gate.enforcer.intake.state is None
+        assert house.gate.enforcer.inputs.state is None
 
 
 # management

@@ -144,7 +144,7 @@ def test_a_second_gate_that_lacks_newer_state_makes_a_call_wait_and_no_other_haz
     with EmergencyGate(at="station-103") as house:
         house.gate.ledger.raise_fence()
         call = house.road.judge("go-safe", Caller.PLANNER, "u1.x")  # type: ignore[arg-type]
-        older = msgspec.structs.replace(call.scene, state=house.gate.enforcer.intake.state)
+        older = msgspec.structs.replace(call.scene, state=house.gate.enforcer.inputs.state)
         for hazards, scene, is_early in [
             ((Hazard.STATE_UNKNOWN,), older, True),
             ((Hazard.STATE_UNKNOWN,), call.scene, False),  # newer state would say the same
@@ -188,7 +188,7 @@ def test_a_controller_that_goes_away_meanwhile_refuses_a_call_that_waits_for_sta
             called = house.begin_call(guest, "go-safe")
             assert house.controller is not None
             house.controller.leave()
-            house.controller = house.desk = None
+            house.controller = house.session = None
         assert house.rest(guest, called)["reasons"] == ["CONTROLLER_FAILED"]
         assert house.told == []
 

@@ -10,7 +10,7 @@ import pytest
 from msgspec.structs import replace
 
 from authguard_r.core.errors import EnvironmentFault
-from authguard_r.estop.connection import _ready, start_lane
+from authguard_r.estop.connection import _ready, start_stop_process
 from authguard_r.estop.files import EStopFiles
 from fixtures import estop_fixtures
 
@@ -24,7 +24,7 @@ def test_a_run_folder_whose_path_is_too_long_is_said_as_the_lane_says_it(files: 
     long = files.run / ("x" * 100)
     long.mkdir()
     with pytest.raises(EnvironmentFault, match="the stop lane does not serve: ") as fault:
-        start_lane(replace(files, run=long))
+        start_stop_process(replace(files, run=long))
     assert "{'" not in fault.value.message
     assert str(long) in fault.value.message
 

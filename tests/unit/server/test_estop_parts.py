@@ -31,7 +31,7 @@ from authguard_r.core.errors import (
 )
 from authguard_r.core.reasons import Reason
 from authguard_r.estop import connection
-from authguard_r.estop.connection import EStopConnection, start_lane
+from authguard_r.estop.connection import EStopConnection, start_stop_process
 from authguard_r.estop.run_folder import (
     EPOCH,
     FIRST_SPOOL,
@@ -49,7 +49,7 @@ from authguard_r.estop.startup import (
     Favor,
     ask_favor,
     is_given,
-    run_lane,
+    run_stop_process,
     say_to_stderr,
 )
 from authguard_r.keys.signer import folder_signer
@@ -583,7 +583,7 @@ def seen_by(files: Any, act: Callable[[EStopReady], None], favor: Any = None) ->
         seen.append(told)
         threading.Thread(target=other, args=(told,)).start()
 
-    run_lane(files, ready, favor or (lambda: Favor(priority=False, memory=False)))
+    run_stop_process(files, ready, favor or (lambda: Favor(priority=False, memory=False)))
     if failed:
         raise failed[0]
     return seen
@@ -629,7 +629,7 @@ def test_a_lane_does_not_start_with_another_robot_s_certificate() -> None:
         cert=keys / f"gate-{scenarios.OTHER}.cert.pem",
     )
     with pytest.raises(AuthenticityError) as caught:
-        run_lane(other, lambda ready: None)
+        run_stop_process(other, lambda ready: None)
     assert caught.value.reason is Reason.ROBOT_MISMATCH
     assert not (files.run / SOCKET).exists()
 
@@ -638,10 +638,10 @@ def test_a_lane_does_not_start_with_a_configuration_that_does_not_hold() -> None
     files = estop_fixtures.files()
     files.config.write_bytes(files.config.read_bytes().replace(b"A", b"B", 1))
     with pytest.raises((AuthenticityError, MalformedError)):
-        run_lane(files, lambda ready: None)
+        run_stop_process(files, lambda ready: None)
     files.config.unlink()
     with pytest.raises(EnvironmentFault):
-        run_lane(files, lambda ready: None)
+        run_stop_process(files, lambda ready: None)
 
 
 def test_the_log_is_written_or_not_but_never_waited_for(capfd: pytest.CaptureFixture[str]) -> None:
@@ -796,11 +796,11 @@ def test_a_gate_whose_lane_takes_nobody_says_so(run: Path, monkeypatch: pytest.M
 
 def test_a_lane_is_started_once_and_outlives_its_starter() -> None:
     files = estop_fixtures.files()
-    process = start_lane(files)
+    process = start_stop_process(files)
     assert process is not None
     try:
         assert os.getsid(process.pid) == process.pid
-        assert start_lane(files) is None
+        assert start_stop_process(files) is None
         assert is_served(files.run / SOCKET)
         process.terminate()
         assert process.wait(estop_fixtures.SOON_S) == 0
@@ -814,13 +814,13 @@ def test_a_lane_that_does_not_serve_is_said_to() -> None:
     files = estop_fixtures.files()
     files.config.unlink()
     with pytest.raises(EnvironmentFault, match="cannot read"):
-        start_lane(files)
+        start_stop_process(files)
     gone = msgspec.structs.replace(files, run=files.run / "nowhere")
     with pytest.raises(EnvironmentFault, match="does not serve"):
-        start_lane(gone)
+        start_stop_process(gone)
 
 
 def test_a_lane_that_says_nothing_is_said_not_to_serve(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("authguard_r.estop.connection.sys.executable", "/bin/true")
     with pytest.raises(EnvironmentFault, match="does not say"):
-        start_lane(estop_fixtures.files())
+        start_stop_process(estop_fixtures.files())

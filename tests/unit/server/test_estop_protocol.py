@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from authguard_r.access.gate_config import Peer as Named
 from authguard_r.access.peers import OVERFLOW_UID
-from authguard_r.client.handshake import Greeting, require_welcome
+from authguard_r.client.handshake import Handshake, require_welcome
 from authguard_r.core.quantities import Now
 from authguard_r.estop.protocol import Dropped, EStopDispatcher, EStopPeer
 from authguard_r.estop.stop_queue import Backlog
@@ -45,7 +45,7 @@ class World:
         self.ms = 5_000
         self.journal = journal if journal is not None else Backlog(EPOCH)
         signer = folder_signer(scenarios.trust_folder(), f"gate-{scenarios.RID}")
-        self.desk = EStopDispatcher(
+        self.session = EStopDispatcher(
             scenarios.RID, config, own_uid=ME, signer=signer, journal=self.journal
         )
 
@@ -54,13 +54,13 @@ class World:
         return Now(1_000_000 + self.ms, self.ms)
 
     def open(self, uid: int) -> EStopPeer:
-        return self.desk.open(uid, self.now)
+        return self.session.open(uid, self.now)
 
     def join(self, uid: int, role: ClientRole, client: str | None = None) -> EStopPeer:
         peer = self.open(uid)
         self.say(peer, Kind.HELLO, hello(role, client or str(role)))
         kinds = [kind for kind, _, _ in said(peer)]
-        assert kinds[0] is Kind.WELCOME, (kinds, self.desk.dropped)
+        assert kinds[0] is Kind.WELCOME, (kinds, self.session.dropped)
         return peer
 
     def robot(self) -> EStopPeer:
@@ -76,7 +76,7 @@ class World:
         return self.join(PLANNER, ClientRole.PLANNER, client)
 
     def say(self, peer: EStopPeer, kind: Kind, body: object, number: int = 0) -> None:
-        self.desk.received(peer, frame(kind, number, body), self.now)
+        self.session.received(peer, frame(kind, number, body), self.now)
 
     def stop(self, peer: EStopPeer, number: int = 1, why: str = "") -> None:
         self.say(peer, Kind.STOP, {"why": why}, number)
@@ -86,7 +86,7 @@ class World:
 
     def later(self, ms: int) -> None:
         self.ms += ms
-        self.desk.tick(self.now)
+        self.session.tick(self.now)
 
 
 def hello(role: ClientRole, client: str, nonce: str | None = None) -> dict[str, Any]:
@@ -190,11 +190,11 @@ def test_a_controller_that_never_stands_is_told_again_and_the_stop_is_answered_i
     assert halts(robot) == [1]
     world.later(LIMITS.halt_again_ms)
     assert halts(robot) == [1]
-    assert world.desk.is_lively
+    assert world.session.is_lively
     world.stand(robot, 1)
     world.later(LIMITS.halt_again_ms)
     assert halts(robot) == []
-    assert not world.desk.is_lively
+    assert not world.session.is_lively
 
 
 def test_halts_do_not_heap_up_for_a_controller_that_does_not_read() -> None:
@@ -252,8 +252,8 @@ def test_a_controller_that_dies_has_not_confirmed_anything() -> None:
     robot, planner = world.robot(), world.planner()
     world.stop(planner)
     world.ms += 5
-    world.desk.close(robot, world.now)
-    world.desk.close(robot, world.now)
+    world.session.close(robot, world.now)
+    world.session.close(robot, world.now)
     assert said(planner) == [(Kind.REPLY, 1, reply(False, True, 5))]
     world.stop(planner)
     assert said(planner) == [(Kind.REPLY, 1, reply(False, False, 0))]
@@ -263,7 +263,7 @@ def test_a_client_that_is_gone_has_stopped_the_robot_all_the_same() -> None:
     world = World()
     robot, planner = world.robot(), world.planner()
     world.stop(planner)
-    world.desk.close(planner, world.now)
+    world.session.close(planner, world.now)
     world.stand(robot, 1)
     assert planner.out == b""
     assert len(world.journal) == 1
@@ -272,15 +272,15 @@ def test_a_client_that_is_gone_has_stopped_the_robot_all_the_same() -> None:
 def test_stops_of_one_client_are_carried_out_one_after_the_other() -> None:
     world = World()
     planner, other = world.planner(), world.planner("other")
-    world.desk.received(planner, b"".join(frame(Kind.STOP, n, {}) for n in range(5)), world.now)
+    world.session.received(planner, b"".join(frame(Kind.STOP, n, {}) for n in range(5)), world.now)
     assert [number for _, number, _ in said(planner)] == [0]
-    assert world.desk.has_work
+    assert world.session.has_work
     assert not planner.is_heard
     world.stop(other)
     for number in range(1, 5):
-        world.desk.work(world.now)
+        world.session.work(world.now)
         assert [n for _, n, _ in said(planner)] == [number]
-    assert not world.desk.has_work
+    assert not world.session.has_work
     assert planner.is_heard
     assert [s.by for s in world.journal.others.to_spool()] == ["planner", "other", *["planner"] * 4]
 
@@ -289,8 +289,8 @@ def test_a_bad_stop_behind_a_good_one_ends_the_connection_and_nothing_else() -> 
     world = World()
     planner, other = world.planner(), world.planner("other")
     data = frame(Kind.STOP, 1, {}) + frame(Kind.STOP, 2, {"how": "hard"})
-    world.desk.received(planner, data, world.now)
-    world.desk.work(world.now)
+    world.session.received(planner, data, world.now)
+    world.session.work(world.now)
     assert code(planner) == ("MALFORMED", "body")
     world.stop(other)
     assert said(other)[0][0] is Kind.REPLY
@@ -353,7 +353,7 @@ def test_a_forged_role_is_refused(uid: int, role: ClientRole) -> None:
     assert code(forger) == ("ROLE_DENIED", "peer")
     world.stop(forger)
     assert halts(robot) == []
-    assert world.desk.dropped == {Dropped(uid, "ROLE_DENIED", "peer"): 1}
+    assert world.session.dropped == {Dropped(uid, "ROLE_DENIED", "peer"): 1}
 
 
 def test_a_configuration_cannot_make_another_user_the_gate() -> None:
@@ -361,7 +361,7 @@ def test_a_configuration_cannot_make_another_user_the_gate() -> None:
     forger = world.open(PLANNER)
     world.say(forger, Kind.HELLO, hello(ClientRole.GATE, "gate"))
     assert code(forger) == ("ROLE_DENIED", "peer")
-    assert not world.desk.has_gate
+    assert not world.session.has_gate
 
 
 @pytest.mark.parametrize("uid", [STRANGER, OVERFLOW_UID])
@@ -375,7 +375,7 @@ def test_connections_of_one_user_are_bounded_and_the_others_have_theirs() -> Non
     taken = [world.open(PLANNER) for _ in range(4)]
     assert code(world.open(PLANNER)) == ("BUSY", "connection")
     assert not world.open(DRIVER).is_ending
-    world.desk.close(taken[0], world.now)
+    world.session.close(taken[0], world.now)
     # the one that was refused still counts until it is closed
     assert world.open(PLANNER).is_ending
 
@@ -405,7 +405,7 @@ def test_a_wrong_first_message_ends_that_connection_alone() -> None:
         with case(first, where):
             world = World()
             other, wrong = world.planner(), world.open(PLANNER)
-            world.desk.received(wrong, first, world.now)
+            world.session.received(wrong, first, world.now)
             assert code(wrong)[1] == where
             world.stop(other)
             assert said(other)[0][0] is Kind.REPLY
@@ -416,7 +416,7 @@ def test_no_bytes_at_all_do_more_than_end_their_connection(pieces: list[bytes]) 
     world = World()
     robot, wrong = world.robot(), world.open(PLANNER)
     for piece in pieces:
-        world.desk.received(wrong, piece, world.now)
+        world.session.received(wrong, piece, world.now)
     assert halts(robot) == []
     assert not robot.is_ending
 
@@ -434,16 +434,16 @@ def test_each_role_may_send_its_own_kinds_here(role: ClientRole, uid: int, may: 
     for kind in Kind:
         world = World()
         peer = world.join(uid, role)
-        world.desk.received(peer, raw_frame(kind, 1, b"[]"), world.now)
+        world.session.received(peer, raw_frame(kind, 1, b"[]"), world.now)
         assert code(peer)[1] == ("body" if kind in may else "frame.kind")
 
 
 def test_a_connection_that_says_no_hello_in_time_is_ended() -> None:
     world = World()
     silent, half = world.open(PLANNER), world.open(PLANNER)
-    world.desk.received(half, b"\0\0", world.now)
+    world.session.received(half, b"\0\0", world.now)
     world.later(LIMITS.whole_within_ms - 1)
-    world.desk.received(half, b"\0", world.now)
+    world.session.received(half, b"\0", world.now)
     assert not silent.is_ending
     world.later(1)
     assert code(silent) == code(half) == ("MALFORMED", "frame")
@@ -453,12 +453,12 @@ def test_a_message_that_begins_and_does_not_end_ends_its_connection_and_silence_
     world = World()
     half, silent = world.planner("half"), world.planner("silent")
     whole = frame(Kind.STOP, 1, {"why": "slow"})
-    world.desk.received(half, whole[:5], world.now)
+    world.session.received(half, whole[:5], world.now)
     world.later(LIMITS.whole_within_ms - 1)
-    world.desk.received(half, whole[5:6], world.now)
-    world.desk.received(half, whole[6:], world.now)
+    world.session.received(half, whole[5:6], world.now)
+    world.session.received(half, whole[6:], world.now)
     assert said(half)[0][0] is Kind.REPLY
-    world.desk.received(half, whole[:5], world.now)
+    world.session.received(half, whole[:5], world.now)
     world.later(LIMITS.whole_within_ms)
     assert code(half) == ("MALFORMED", "frame")
     world.later(3_600_000)
@@ -482,12 +482,12 @@ def test_the_lane_proves_with_the_gate_s_key_that_it_is_the_robot_s() -> None:
     robot = world.open(DRIVER)
     world.say(robot, Kind.HELLO, hello(ClientRole.CONTROLLER, "robot", estop_fixtures.NONCE))
     assert said(robot) == []
-    world.desk.work(world.now)
+    world.session.work(world.now)
     (item,) = FrameReader(lambda kind: 1 << 20).feed(bytes(robot.out))
     trust = read_trust(scenarios.trust_folder())
     require_welcome(
         read_body(item.body, Welcome),
-        Greeting(role=ClientRole.CONTROLLER, client="robot", verifier=trust, robot=scenarios.RID),
+        Handshake(role=ClientRole.CONTROLLER, client="robot", verifier=trust, robot=scenarios.RID),
         nonce=estop_fixtures.NONCE,
         now=scenarios.NOW,
     )
@@ -498,8 +498,8 @@ def test_a_client_that_ends_before_its_proof_is_made_costs_none() -> None:
     robot = world.open(DRIVER)
     world.say(robot, Kind.HELLO, hello(ClientRole.CONTROLLER, "robot", estop_fixtures.NONCE))
     world.stand(robot, 1)  # a controller that is not welcomed yet has nothing to say
-    world.desk.close(robot, world.now)
-    world.desk.work(world.now)
+    world.session.close(robot, world.now)
+    world.session.work(world.now)
     assert robot.out == b""
     planner = world.planner()
     world.stop(planner)
@@ -541,8 +541,8 @@ def test_stops_made_while_no_gate_runs_are_told_to_the_next_one_again_and_again(
         world.stop(planner)
     first = gate(world)
     assert told(first) == list(range(1, LIMITS.window + 1))
-    world.desk.close(first, world.now)
-    assert not world.desk.has_gate
+    world.session.close(first, world.now)
+    assert not world.session.has_gate
     second = gate(world)
     assert told(second) == list(range(1, LIMITS.window + 1))
     world.say(second, Kind.HEARD, {"n": 7})
@@ -555,8 +555,8 @@ def test_a_new_gate_takes_the_place_of_one_that_hangs() -> None:
     first, planner = gate(world), world.planner()
     second = gate(world)
     assert code(first) == ("BUSY", "connection")
-    world.desk.close(first, world.now)
-    assert world.desk.has_gate
+    world.session.close(first, world.now)
+    assert world.session.has_gate
     world.stop(planner)
     assert told(second) == [1]
 
@@ -772,7 +772,7 @@ def test_a_sync_of_a_gate_that_is_gone_is_not_answered_to_the_next_one() -> None
     world.say(first, Kind.SYNC, {}, 1)
     second = gate(world)
     world.say(second, Kind.SYNC, {}, 2)
-    world.desk.close(second, world.now)
+    world.session.close(second, world.now)
     third = gate(world)
     world.stand(robot, 1)
     assert replies(third) == []

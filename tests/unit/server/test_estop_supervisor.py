@@ -45,10 +45,10 @@ class Listener:
     def stopped(self, heard: StopHeard) -> None:
         self.stops.append(heard)
 
-    def lane_lost(self, why: AuthGuardError | None) -> None:
+    def stop_process_lost(self, why: AuthGuardError | None) -> None:
         self.lost.append(why)
 
-    def lane_silent(self, *, is_silent: bool) -> None:
+    def stop_process_silent(self, *, is_silent: bool) -> None:
         self.silences += is_silent
         self.answers += not is_silent
 
@@ -68,12 +68,12 @@ def lane_pid(files: EStopFiles) -> int:
     return int((files.run / PID).read_text())
 
 
-def keeping(keeper: EStopSupervisor, work: Callable[[Listener], Awaitable[None]]) -> Listener:
+def keeping(recorder: EStopSupervisor, work: Callable[[Listener], Awaitable[None]]) -> Listener:
     """Keep a lane while something is done."""
     listener = Listener()
 
     async def whole() -> None:
-        task = asyncio.create_task(keeper.keep(listener, listener.connected))
+        task = asyncio.create_task(recorder.keep(listener, listener.connected))
         try:
             async with asyncio.timeout(2 * PATIENCE_S):
                 await work(listener)
@@ -98,8 +98,8 @@ def stop(files: EStopFiles, why: str = "") -> None:
 
 
 def test_a_lane_that_dies_is_told_of_and_started_again(files: EStopFiles) -> None:
-    keeper = EStopSupervisor(files)
-    keeper.start()
+    recorder = EStopSupervisor(files)
+    recorder.start()
     first = lane_pid(files)
 
     async def work(listener: Listener) -> None:
@@ -113,9 +113,9 @@ def test_a_lane_that_dies_is_told_of_and_started_again(files: EStopFiles) -> Non
         await until(lambda: any(told.why == "two" for told in listener.stops))
 
     try:
-        heard = keeping(keeper, work)
+        heard = keeping(recorder, work)
     finally:
-        keeper.end()
+        recorder.end()
     # what it was not yet told to be recorded, the next lane says again
     assert list(dict.fromkeys(stop.why for stop in heard.stops)) == ["one", "two"]
     assert heard.lost[0] is None
@@ -133,8 +133,8 @@ def lane_pid_or_none(files: EStopFiles) -> int | None:
 def test_the_lane_is_told_that_a_stop_was_heard_only_when_it_has_taken_its_effect(
     files: EStopFiles,
 ) -> None:
-    keeper = EStopSupervisor(files)
-    keeper.start()
+    recorder = EStopSupervisor(files)
+    recorder.start()
 
     async def owed(listener: Listener) -> None:
         listener.settled = False
@@ -151,11 +151,11 @@ def test_the_lane_is_told_that_a_stop_was_heard_only_when_it_has_taken_its_effec
         await until(lambda: listener.stops)
 
     try:
-        keeping(keeper, owed)
-        assert [stop.why for stop in keeping(keeper, owed_again).stops] == ["one"]
-        assert [stop.why for stop in keeping(keeper, nothing).stops] == ["two"]
+        keeping(recorder, owed)
+        assert [stop.why for stop in keeping(recorder, owed_again).stops] == ["one"]
+        assert [stop.why for stop in keeping(recorder, nothing).stops] == ["two"]
     finally:
-        keeper.end()
+        recorder.end()
 
 
 async def owed_again(listener: Listener) -> None:
@@ -172,21 +172,21 @@ async def owed_again(listener: Listener) -> None:
 def test_a_lane_that_serves_answers_that_everything_was_told_and_none_is_nobody_to_ask(
     files: EStopFiles,
 ) -> None:
-    keeper = EStopSupervisor(files)
+    recorder = EStopSupervisor(files)
     answered: list[bool] = []
-    assert keeper.sync(lambda: answered.append(True)) is False
-    keeper.start()
+    assert recorder.sync(lambda: answered.append(True)) is False
+    recorder.start()
 
     async def work(listener: Listener) -> None:
         await until(lambda: listener.connections)
-        assert keeper.sync(lambda: answered.append(True)) is True
+        assert recorder.sync(lambda: answered.append(True)) is True
         await until(lambda: answered)
 
     try:
-        keeping(keeper, work)
-        assert keeper.sync(lambda: answered.append(True)) is False  # it was let go of
+        keeping(recorder, work)
+        assert recorder.sync(lambda: answered.append(True)) is False  # it was let go of
     finally:
-        keeper.end()
+        recorder.end()
     assert answered == [True]
 
 
@@ -195,30 +195,30 @@ def test_a_lane_that_hangs_is_told_of_once_and_is_there_again_when_it_answers(
 ) -> None:
     """A process that is held stays connected: nobody could stop by it, and nobody would know."""
     bounded(monkeypatch, lane_keeper, stop_replaced_looks=1_000_000)
-    keeper = EStopSupervisor(files)
-    assert not keeper.alive
-    keeper.start()
+    recorder = EStopSupervisor(files)
+    assert not recorder.alive
+    recorder.start()
     seen: list[bool] = []
 
     async def work(listener: Listener) -> None:
-        await until(lambda: listener.connections and keeper.alive)
+        await until(lambda: listener.connections and recorder.alive)
         os.kill(lane_pid(files), signal.SIGSTOP)
         await until(lambda: listener.silences)
-        seen.append(keeper.alive)
+        seen.append(recorder.alive)
         await asyncio.sleep(
             10 * lane_keeper.LIMITS.stop_ask_s
         )  # several times it could have been said again
         os.kill(lane_pid(files), signal.SIGCONT)
-        await until(lambda: keeper.alive and listener.answers == 2)  # at first, and again
+        await until(lambda: recorder.alive and listener.answers == 2)  # at first, and again
         seen.append(listener.silences == 1)
         os.kill(lane_pid(files), signal.SIGKILL)
         await until(lambda: listener.lost)
         seen.append(listener.silences == 1)  # one that is gone is another matter
 
     try:
-        heard = keeping(keeper, work)
+        heard = keeping(recorder, work)
     finally:
-        keeper.end()
+        recorder.end()
     assert seen == [False, True, True]
     assert heard.lost[0] is None
 
@@ -226,8 +226,8 @@ def test_a_lane_that_hangs_is_told_of_once_and_is_there_again_when_it_answers(
 def test_what_a_lane_is_asked_before_its_welcome_waits_for_it_and_ends_nothing(
     files: EStopFiles,
 ) -> None:
-    keeper = EStopSupervisor(files)
-    keeper.start()
+    recorder = EStopSupervisor(files)
+    recorder.start()
     answered: list[int] = []
     lost: list[AuthGuardError | None] = []
 
@@ -246,42 +246,42 @@ def test_what_a_lane_is_asked_before_its_welcome_waits_for_it_and_ends_nothing(
     try:
         asyncio.run(ask())
     finally:
-        keeper.end()
+        recorder.end()
     assert answered == [0, 1, 2]
 
 
 def test_a_lane_that_hangs_counts_as_gone_at_once_and_is_replaced(files: EStopFiles) -> None:
-    keeper = EStopSupervisor(files)
-    keeper.start()
+    recorder = EStopSupervisor(files)
+    recorder.start()
     first = lane_pid(files)
     late: list[float] = []
 
     async def work(listener: Listener) -> None:
-        await until(lambda: listener.connections and keeper.alive)
+        await until(lambda: listener.connections and recorder.alive)
         held = time.monotonic()
         os.kill(first, signal.SIGSTOP)
-        await until(lambda: not keeper.alive)
+        await until(lambda: not recorder.alive)
         late.append(time.monotonic() - held)
-        await until(lambda: listener.connections >= 2 and keeper.alive)
+        await until(lambda: listener.connections >= 2 and recorder.alive)
 
     try:
-        heard = keeping(keeper, work)
+        heard = keeping(recorder, work)
         assert lane_pid(files) != first
         assert late[0] < 1.0  # `WITHIN_S`, and what this process is late
     finally:
-        keeper.end()
+        recorder.end()
     assert heard.silences == 1
     assert heard.lost == [None]
 
 
 def test_a_lane_that_cannot_record_a_stop_is_not_replaced(files: EStopFiles) -> None:
     """It is silent for the gate's own fault, and what it keeps is the stop that is owed."""
-    keeper = EStopSupervisor(files)
-    keeper.start()
+    recorder = EStopSupervisor(files)
+    recorder.start()
     first = lane_pid(files)
 
     async def work(listener: Listener) -> None:
-        await until(lambda: listener.connections and keeper.alive)
+        await until(lambda: listener.connections and recorder.alive)
         listener.settled = False
         os.kill(first, signal.SIGSTOP)
         await asyncio.sleep(
@@ -289,13 +289,13 @@ def test_a_lane_that_cannot_record_a_stop_is_not_replaced(files: EStopFiles) -> 
         )
         listener.settled = True
         os.kill(first, signal.SIGCONT)
-        await until(lambda: keeper.alive)
+        await until(lambda: recorder.alive)
 
     try:
-        keeping(keeper, work)
+        keeping(recorder, work)
         assert lane_pid(files) == first
     finally:
-        keeper.end()
+        recorder.end()
 
 
 def test_a_lane_of_a_gate_that_was_killed_is_adopted_and_ends_with_the_next(
@@ -322,19 +322,19 @@ def test_a_lane_that_hangs_at_the_end_is_left_behind_no_more_than_one_that_serve
     files: EStopFiles, number: signal.Signals, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bounded(monkeypatch, lane_place, end_s=0.5)
-    keeper = EStopSupervisor(files)
-    keeper.start()
+    recorder = EStopSupervisor(files)
+    recorder.start()
     pid = lane_pid(files)
     os.kill(pid, number)
-    keeper.end()
+    recorder.end()
     assert not Path(f"/proc/{pid}").exists()
 
 
 def test_a_lane_that_was_started_by_hand_serves_on(files: EStopFiles) -> None:
     with estop_fixtures.process(files):
-        keeper = EStopSupervisor(files)
-        keeper.start()
-        keeper.end()
+        recorder = EStopSupervisor(files)
+        recorder.start()
+        recorder.end()
         stop(files)
 
 
@@ -343,19 +343,19 @@ def test_a_lane_that_cannot_be_started_is_tried_again_and_the_gate_told(
 ) -> None:
     bounded(monkeypatch, lane_keeper, stop_retry_s=0.01)
     broken = msgspec.structs.replace(files, key=Path("/nowhere"))
-    keeper = EStopSupervisor(broken)
+    recorder = EStopSupervisor(broken)
     with pytest.raises(EnvironmentFault):
-        keeper.start()
+        recorder.start()
 
     async def work(listener: Listener) -> None:
         await until(lambda: len(listener.lost) >= 2)
-        keeper._files = files  # somebody mended it
+        recorder._files = files  # somebody mended it
         await until(lambda: listener.connections)
 
     try:
-        listener = keeping(keeper, work)
+        listener = keeping(recorder, work)
     finally:
-        keeper.end()
+        recorder.end()
     assert all(isinstance(why, EnvironmentFault) for why in listener.lost)
 
 
@@ -382,8 +382,8 @@ def test_a_stale_lane_that_hangs_is_killed_and_another_one_serves(
     files: EStopFiles, config: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bounded(monkeypatch, lane_place, end_s=0.5)
-    keeper = EStopSupervisor(files)
-    keeper.start()
+    recorder = EStopSupervisor(files)
+    recorder.start()
     place = files.run / lane_keeper.CONFIG
     if config == "gone":
         place.unlink()
@@ -391,9 +391,9 @@ def test_a_stale_lane_that_hangs_is_killed_and_another_one_serves(
         place.write_text("another")
     pid = lane_pid(files)
     os.kill(pid, signal.SIGSTOP)
-    keeper.start()
+    recorder.start()
     assert lane_pid(files) != pid
-    keeper.end()
+    recorder.end()
 
 
 def test_a_stale_lane_that_does_not_end_is_a_fault(
@@ -401,12 +401,12 @@ def test_a_stale_lane_that_does_not_end_is_a_fault(
 ) -> None:
     """Whose number nobody knows, nobody can end."""
     bounded(monkeypatch, lane_place, end_s=0.1)
-    keeper = EStopSupervisor(files)
-    keeper.start()
+    recorder = EStopSupervisor(files)
+    recorder.start()
     (files.run / lane_keeper.CONFIG).write_text("another")
     pid = lane_pid(files)
     (files.run / PID).write_text("nobody")
     with pytest.raises(EnvironmentFault, match="does not end"):
         EStopSupervisor(files).start()
     (files.run / PID).write_text(str(pid))
-    keeper.end()
+    recorder.end()

@@ -16,7 +16,7 @@ from authguard_r.core.mission import Mission
 from authguard_r.core.reasons import Reason
 from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.server.explanation import explanation
-from authguard_r.server.remediation import mends_of, remedies, remedy_of
+from authguard_r.server.remediation import remedies, remedies_of, remedy_of
 from authguard_r.wire.messages import ClientRole, Explain, Kind, Observe, Order, OrderKind
 from fixtures import scenarios
 from unit.server.demo_site import FORBIDDEN, GO, SCAN, UNREADABLE, DemoGate, Guest, Refused
@@ -127,7 +127,7 @@ def test_every_reason_says_what_to_do_with_commands_that_there_are() -> None:
                 assert node is not None, mend
                 if not hasattr(node, "commands"):
                     break
-    assert mends_of(["no such reason", Reason.BUSY, "BUSY", None]) == [MENDS[Reason.BUSY]]
+    assert remedies_of(["no such reason", Reason.BUSY, "BUSY", None]) == [MENDS[Reason.BUSY]]
 
 
 def test_a_refusal_without_a_decision_says_where_and_what_to_do() -> None:
@@ -170,7 +170,7 @@ def test_a_mission_that_is_gone_leaves_a_record_explained_without_a_change() -> 
         seq = next(r for r in house.log("decision")).link.seq
         operator = house.enter(ClientRole.OPERATOR)
         operator.ask(Kind.ORDER, Order(act=OrderKind.COMMAND, token=house.order(Verb.REVOKE)))
-        house.gate.enforcer.intake.forget()
+        house.gate.enforcer.inputs.forget()
         held = house.gate.ledger.store._held  # type: ignore[attr-defined]
         for key in [key for key in held if key[0] == "token"]:
             del held[key]

@@ -14,7 +14,7 @@ from authguard_r.sim.robot import Faults
 from authguard_r.wire.messages import ClientRole, Dispatch, Ended, Kind, Mode, Order, OrderKind
 from fixtures import scenarios
 from unit.server.demo_site import GO, SCAN, DemoGate, Guest, reasons, ticket_of
-from unit.sim.desks import framed
+from unit.sim.controller_bench import framed
 
 
 def walking(house: DemoGate) -> tuple[Guest, int]:
@@ -93,16 +93,16 @@ def test_a_controller_that_is_busy_after_the_commit_gives_all_back_that_the_rele
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
         before = house.standing
-        assert house.desk is not None
+        assert house.session is not None
         other = Dispatch(
             ticket=Digest("o" * 43),
             action=scenarios.navigate("dock", "pharmacy"),
             max_ms=60_000,
             renew_within_ms=60_000,
-            life=house.desk.life,
-            stops=house.desk.stops,
+            life=house.session.life,
+            stops=house.session.stops,
         )
-        house.desk.handle(MessageSource.GATE, framed(Kind.DISPATCH, other), house.clock.ms)
+        house.session.handle(MessageSource.GATE, framed(Kind.DISPATCH, other), house.clock.ms)
         (step,) = house.rest(planner, house.begin(planner, GO))["steps"]
         assert (step["released"], step["execution"]["outcome"]) == (True, "not_started")
         assert reasons(step) == ["BUSY"]

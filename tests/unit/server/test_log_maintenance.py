@@ -33,9 +33,9 @@ class Watched:
         self._path = journal
         self._file = os.open(journal, os.O_WRONLY | os.O_CREAT | os.O_NONBLOCK)
         ledger = sim.gate.ledger
-        notices = EventBus(ledger, lambda: (), EventLog(self._file))
-        self.liveness = Liveness(config(), ledger.mono_ms, notices.alert)
-        self.vigil = LogMaintenance(sim.gate.anchor, self.liveness, notices)
+        events = EventBus(ledger, lambda: (), EventLog(self._file))
+        self.liveness = Liveness(config(), ledger.mono_ms, events.alert)
+        self.vigil = LogMaintenance(sim.gate.anchor, self.liveness, events)
         self.vigil.begin()
 
     def told(self) -> list[str]:

@@ -84,12 +84,12 @@ class Desk:
 
 def run(work: Callable[[Desk], Awaitable[None]], **bounds: Any) -> None:
     async def whole() -> None:
-        desk = Desk(**bounds)
+        session = Desk(**bounds)
         try:
-            await work(desk)
+            await work(session)
         finally:
-            desk.reader.close()
-            desk.reader.close()  # a second time does nothing
+            session.reader.close()
+            session.reader.close()  # a second time does nothing
 
     asyncio.run(whole())
 
@@ -98,90 +98,92 @@ def test_a_long_plan_read_elsewhere_says_what_it_says_here() -> None:
     plans = [path.read_bytes() + b"\n" * LIMITS.short_plan_bytes for path in REPLIES]
     plans += [SCAN + LONG, b"fly_to(" + LONG, b"\xff" * 5_000, b"[" * 20_000, b'"' * 5_000]
 
-    async def work(desk: Desk) -> None:
+    async def work(session: Desk) -> None:
         for count, data in enumerate(plans, 1):
-            desk.read(data)
+            session.read(data)
             if count % LIMITS.long_plans == 0:
-                await desk.until(count)
-        await desk.until(len(plans))
-        for data, taken in zip(plans, desk.taken, strict=True):
+                await session.until(count)
+        await session.until(len(plans))
+        for data, taken in zip(plans, session.taken, strict=True):
             assert same(taken, inline(data))
-        assert sum(isinstance(taken, Plan) for taken in desk.taken) >= len(REPLIES) // 2
+        assert sum(isinstance(taken, Plan) for taken in session.taken) >= len(REPLIES) // 2
 
     run(work)
 
 
 def test_a_longest_plan_keeps_nobody_waiting_for_a_process_that_starts() -> None:
-    async def work(desk: Desk) -> None:
-        desk.read(SCAN + b"\n" * ((1 << 18) - len(SCAN)))
-        assert desk.taken == []  # it imports the whole program first, and a full line would block
-        os.kill(desk.pid, signal.SIGSTOP)  # and were it to hang: nobody waits for that either
+    async def work(session: Desk) -> None:
+        session.read(SCAN + b"\n" * ((1 << 18) - len(SCAN)))
+        assert (
+            session.taken == []
+        )  # it imports the whole program first, and a full line would block
+        os.kill(session.pid, signal.SIGSTOP)  # and were it to hang: nobody waits for that either
         await asyncio.sleep(0)
-        os.kill(desk.pid, signal.SIGCONT)
-        await desk.until(1)
-        assert isinstance(desk.taken[0], Plan)
+        os.kill(session.pid, signal.SIGCONT)
+        await session.until(1)
+        assert isinstance(session.taken[0], Plan)
 
     run(work)
 
 
 def test_a_reader_killed_in_mid_read_loses_that_plan_alone() -> None:
-    async def work(desk: Desk) -> None:
-        await desk.listening()
-        first = desk.pid
+    async def work(session: Desk) -> None:
+        await session.listening()
+        first = session.pid
         os.kill(first, signal.SIGSTOP)
-        desk.read(SCAN + LONG)
-        desk.read(SCAN + LONG)
+        session.read(SCAN + LONG)
+        session.read(SCAN + LONG)
         os.kill(first, signal.SIGKILL)
-        await desk.until(2)
-        lost, read = desk.taken
+        await session.until(2)
+        lost, read = session.taken
         assert isinstance(lost, MalformedError)
         assert (lost.reason, lost.where) == (Reason.INPUT_TOO_LARGE, "input")
         assert isinstance(read, Plan)
-        assert desk.pid != first
+        assert session.pid != first
 
     run(work)
 
 
 def test_a_reader_killed_while_idle_loses_nothing() -> None:
-    async def work(desk: Desk) -> None:
-        await desk.listening()
-        os.kill(desk.pid, signal.SIGKILL)
+    async def work(session: Desk) -> None:
+        await session.listening()
+        os.kill(session.pid, signal.SIGKILL)
         async with asyncio.timeout(PATIENCE_S):
-            while desk.reader._process is not None:
+            while session.reader._process is not None:
                 await asyncio.sleep(0.002)
-        desk.read(SCAN + LONG)
-        await desk.until(1)
-        assert isinstance(desk.taken[0], Plan)
+        session.read(SCAN + LONG)
+        await session.until(1)
+        assert isinstance(session.taken[0], Plan)
 
     run(work)
 
 
 def test_a_plan_for_a_reader_that_just_died_is_refused_and_the_next_one_read() -> None:
-    async def work(desk: Desk) -> None:
-        await desk.listening()
-        process = desk.reader._process
+    async def work(session: Desk) -> None:
+        await session.listening()
+        process = session.reader._process
         assert process is not None
         process.kill()
         process.join()  # dead, and the loop has not heard of it yet
-        desk.read(SCAN + LONG)
-        desk.read(SCAN + LONG)
-        await desk.until(2)
-        assert isinstance(desk.taken[0], MalformedError)
-        assert isinstance(desk.taken[1], Plan)
+        session.read(SCAN + LONG)
+        session.read(SCAN + LONG)
+        await session.until(2)
+        assert isinstance(session.taken[0], MalformedError)
+        assert isinstance(session.taken[1], Plan)
 
     run(work)
 
 
 def test_a_plan_that_takes_too_long_is_refused_and_its_reader_ended() -> None:
-    async def work(desk: Desk) -> None:
-        desk.read(SCAN + LONG)
-        first = desk.pid
+    async def work(session: Desk) -> None:
+        session.read(SCAN + LONG)
+        first = session.pid
         os.kill(first, signal.SIGSTOP)
-        await desk.until(1)
-        (late,) = desk.taken
+        await session.until(1)
+        (late,) = session.taken
         assert isinstance(late, MalformedError)
         assert late.reason is Reason.INPUT_TOO_LARGE
-        assert desk.reader._process is None
+        assert session.reader._process is None
         with pytest.raises(ProcessLookupError):
             os.kill(first, 0)
 
@@ -189,19 +191,19 @@ def test_a_plan_that_takes_too_long_is_refused_and_its_reader_ended() -> None:
 
 
 def test_a_reader_that_says_nonsense_is_ended() -> None:
-    async def work(desk: Desk) -> None:
-        await desk.listening()
+    async def work(session: Desk) -> None:
+        await session.listening()
         ours, theirs = Pipe()
-        line, loop = desk.reader._line, asyncio.get_running_loop()
+        line, loop = session.reader._line, asyncio.get_running_loop()
         assert line is not None
         loop.remove_reader(line.fileno())
-        loop.add_reader(ours.fileno(), desk.reader._answered)
-        desk.reader._line = ours  # its line, taken over by something else
+        loop.add_reader(ours.fileno(), session.reader._answered)
+        session.reader._line = ours  # its line, taken over by something else
         theirs.send_bytes(b"{nonsense")
-        desk.read(SCAN + LONG)
-        await desk.until(1)
-        assert isinstance(desk.taken[0], MalformedError)
-        assert desk.reader._process is None
+        session.read(SCAN + LONG)
+        await session.until(1)
+        assert isinstance(session.taken[0], MalformedError)
+        assert session.reader._process is None
         line.close()
         theirs.close()
 
@@ -213,14 +215,14 @@ def test_a_reader_without_memory_refuses_and_the_gate_has_enough() -> None:
     greedy = (SCAN + b"\n") * (250_000 // len(SCAN + b"\n"))
     messages: list[str] = []
 
-    async def work(desk: Desk) -> None:
-        desk.read(greedy)
-        await desk.until(1)
-        (refused,) = desk.taken
+    async def work(session: Desk) -> None:
+        session.read(greedy)
+        await session.until(1)
+        (refused,) = session.taken
         assert isinstance(refused, MalformedError)
         assert refused.reason is Reason.INPUT_TOO_LARGE
         messages.append(refused.message)
-        limits = Path(f"/proc/{desk.pid}/limits").read_text() if desk.reader._process else ""
+        limits = Path(f"/proc/{session.pid}/limits").read_text() if session.reader._process else ""
         messages.append(limits)
 
     run(work, memory_bytes=1 << 29)  # with memory it is refused for what it is: too many calls
@@ -232,51 +234,51 @@ def test_a_reader_without_memory_refuses_and_the_gate_has_enough() -> None:
     assert without != with_memory
 
 
-def refuses(desk: Desk, *, uid: int | None = None) -> None:
+def refuses(session: Desk, *, uid: int | None = None) -> None:
     with pytest.raises(EnvironmentFault) as refused:
-        desk.read(SCAN + LONG, uid=uid)
+        session.read(SCAN + LONG, uid=uid)
     assert (refused.value.reason, refused.value.where) == (Reason.BUSY, "proposal")
 
 
 def test_one_user_keeps_only_two_long_plans_waiting_and_another_is_read() -> None:
-    async def work(desk: Desk) -> None:
+    async def work(session: Desk) -> None:
         for _ in range(LIMITS.long_plans_of_user):
-            desk.read(SCAN + LONG, uid=1)
-        refuses(desk, uid=1)
-        desk.read(SCAN + LONG, uid=2)
-        await desk.until(LIMITS.long_plans_of_user + 1)
-        assert all(isinstance(plan, Plan) for plan in desk.taken)
-        desk.read(SCAN + LONG, uid=1)  # its turn has come and gone: there is place again
-        await desk.until(LIMITS.long_plans_of_user + 2)
+            session.read(SCAN + LONG, uid=1)
+        refuses(session, uid=1)
+        session.read(SCAN + LONG, uid=2)
+        await session.until(LIMITS.long_plans_of_user + 1)
+        assert all(isinstance(plan, Plan) for plan in session.taken)
+        session.read(SCAN + LONG, uid=1)  # its turn has come and gone: there is place again
+        await session.until(LIMITS.long_plans_of_user + 2)
 
     run(work)
 
 
 def test_no_more_than_sixteen_long_plans_wait_however_many_users_there_are() -> None:
-    async def work(desk: Desk) -> None:
+    async def work(session: Desk) -> None:
         for _ in range(LIMITS.long_plans):
-            desk.read(SCAN + LONG)
-        refuses(desk)
-        assert len(desk.reader._queue) == LIMITS.long_plans == 16
-        await desk.until(LIMITS.long_plans)
-        assert all(isinstance(plan, Plan) for plan in desk.taken)
+            session.read(SCAN + LONG)
+        refuses(session)
+        assert len(session.reader._queue) == LIMITS.long_plans == 16
+        await session.until(LIMITS.long_plans)
+        assert all(isinstance(plan, Plan) for plan in session.taken)
 
     run(work)
 
 
 def test_a_plan_that_nobody_waits_for_when_its_turn_comes_is_not_read() -> None:
-    async def work(desk: Desk) -> None:
-        await desk.listening()
-        desk.read(SCAN + LONG)
+    async def work(session: Desk) -> None:
+        await session.listening()
+        session.read(SCAN + LONG)
         for _ in range(2):
-            desk.read(SCAN + LONG, wanted=False)
-        desk.read(SCAN + LONG)
-        desk.read(SCAN + LONG, wanted=False)
-        await desk.until(5)
-        read = [isinstance(plan, Plan) for plan in desk.taken]
+            session.read(SCAN + LONG, wanted=False)
+        session.read(SCAN + LONG)
+        session.read(SCAN + LONG, wanted=False)
+        await session.until(5)
+        read = [isinstance(plan, Plan) for plan in session.taken]
         assert sorted(read) == [False, False, False, True, True]
-        assert desk.taken.count(None) == 3
-        assert not desk.reader._queue
+        assert session.taken.count(None) == 3
+        assert not session.reader._queue
 
     run(work)
 
@@ -285,15 +287,15 @@ def test_a_plan_that_nobody_waits_for_when_its_turn_comes_is_not_read() -> None:
 def test_where_no_reader_can_be_started_every_plan_is_refused_and_the_next_is_tried(
     missing: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    async def work(desk: Desk) -> None:
+    async def work(session: Desk) -> None:
         with monkeypatch.context() as machine:
             machine.setattr(*NOTHING_LEFT[missing])
-            desk.read(SCAN + LONG)
-        assert [isinstance(plan, MalformedError) for plan in desk.taken] == [True]
-        assert not desk.reader._queue
-        desk.read(SCAN + LONG)
-        await desk.until(2)
-        assert isinstance(desk.taken[1], Plan)
+            session.read(SCAN + LONG)
+        assert [isinstance(plan, MalformedError) for plan in session.taken] == [True]
+        assert not session.reader._queue
+        session.read(SCAN + LONG)
+        await session.until(2)
+        assert isinstance(session.taken[1], Plan)
 
     run(work)
 

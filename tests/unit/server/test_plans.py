@@ -295,8 +295,8 @@ def test_what_is_done_after_a_refusal_is_what_the_mission_says(wanted: OnRefusal
         assert answer["on_refusal"] == wanted
         stops = [record.open["by"] for record in house.log("stop")]
         assert stops == (["gate"] if wanted is OnRefusal.STOP else [])
-        assert house.desk is not None
-        assert house.desk.stops == len(stops)  # the robot was really told
+        assert house.session is not None
+        assert house.session.stops == len(stops)  # the robot was really told
 
 
 def test_a_dialect_that_nobody_speaks_is_refused_and_the_planner_may_go_on() -> None:

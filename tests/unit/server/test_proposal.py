@@ -32,7 +32,7 @@ from authguard_r.server.proposal import (
     TellResult,
     WatchAction,
 )
-from authguard_r.server.proposals import Keeper
+from authguard_r.server.proposals import CommitRecorder
 from authguard_r.wire.disclosure import Disclosure
 from authguard_r.wire.messages import ClientRole, Propose, Result
 from fixtures import scenarios
@@ -48,7 +48,7 @@ class Way:
         self.house = house
         self.data = data
         self.client = house.client(planner)
-        self.keeper: Keeper | None = None
+        self.recorder: CommitRecorder | None = None
         asked = Propose(key="k", plan=data)
         self.proposal = Proposal(
             self.client,
@@ -67,14 +67,14 @@ class Way:
         (effect,) = effects
         assert isinstance(effect, Decide)
         plans = self.house.service._dispatcher._plans
-        self.keeper = Keeper(self.client.name, "k", effect.before)
+        self.recorder = CommitRecorder(self.client.name, "k", effect.before)
         return self.house.do(
             lambda: self.house.gate.enforcer.submit(
                 effect.step,
                 planner=self.client.name,
                 evidence=self.proposal.evidence,
                 context=plans.contexts.of(self.client),
-                keep=self.keeper,
+                on_commit=self.recorder,
             )
         )
 
@@ -106,13 +106,17 @@ def test_a_step_is_awaited_decided_watched_and_counted_in_this_order(house: Demo
     assert proposal.stage is ProposalStage.WAITING
     running = way.decide(proposal.due())
     assert proposal.stage is ProposalStage.DECIDING
-    assert way.keeper is not None
-    assert kinds(proposal.begun(running, way.keeper)) == [WatchAction, TellDecision, CountDecision]
+    assert way.recorder is not None
+    assert kinds(proposal.begun(running, way.recorder)) == [
+        WatchAction,
+        TellDecision,
+        CountDecision,
+    ]
     assert proposal.stage is ProposalStage.RUNNING
-    assert kinds(proposal.ended(way.keeper, way.ended(running))) == [CountOutcome, NextTurn]
+    assert kinds(proposal.ended(way.recorder, way.ended(running))) == [CountOutcome, NextTurn]
     assert kinds(proposal.turn()) == [AwaitState]
     refused = way.decide(proposal.due())
-    effects = proposal.begun(refused, way.keeper)
+    effects = proposal.begun(refused, way.recorder)
     assert kinds(effects) == [Forget, SendAnswer, CountDecision]  # the planner waits, counts do not
     assert proposal.stage is ProposalStage.OVER
     answer = effects[1].answer  # type: ignore[union-attr]
@@ -144,10 +148,10 @@ def test_a_planner_that_hung_up_between_two_steps_still_has_its_answer_kept(
     way = Way(house, planner, GO + b"\n" + SCAN)
     way.proposal.read(way.plan())
     running = way.decide(way.proposal.due())
-    assert way.keeper is not None
-    way.proposal.begun(running, way.keeper)
+    assert way.recorder is not None
+    way.proposal.begun(running, way.recorder)
     report = way.ended(running)
-    assert kinds(way.proposal.ended(way.keeper, report)) == [CountOutcome, NextTurn]
+    assert kinds(way.proposal.ended(way.recorder, report)) == [CountOutcome, NextTurn]
     planner.line.close()
     house.settle()
     effects = way.proposal.turn()
@@ -159,11 +163,11 @@ def test_a_result_is_told_before_the_answer_that_waits_for_it(house: DemoGate) -
     way = Way(house, house.enter(ClientRole.PLANNER), GO)
     way.proposal.read(way.plan())
     running = way.decide(way.proposal.due())
-    assert way.keeper is not None
-    way.proposal.begun(running, way.keeper)
+    assert way.recorder is not None
+    way.proposal.begun(running, way.recorder)
     way.proposal.noting()
     report = way.ended(running)
-    effects = way.proposal.ended(way.keeper, report)
+    effects = way.proposal.ended(way.recorder, report)
     assert kinds(effects) == [CountOutcome, AwaitNotes]
     assert kinds(way.proposal.go_on(report)) == [AwaitNotes]
     result = Result(ticket=running.lease.ticket, content="a sign", texts=("a sign",))
@@ -178,8 +182,8 @@ def test_the_robot_is_stopped_before_the_answer_where_the_mission_says_so() -> N
         way = Way(house, house.enter(ClientRole.PLANNER), FORBIDDEN)
         way.proposal.read(way.plan())
         refused = way.decide(way.proposal.due())
-        assert way.keeper is not None
-        effects = way.proposal.begun(refused, way.keeper)
+        assert way.recorder is not None
+        effects = way.proposal.begun(refused, way.recorder)
         assert kinds(effects) == [Forget, StopRobot, SendAnswer, CountDecision]
 
 
@@ -187,8 +191,8 @@ def test_a_shadow_run_judges_every_step_whatever_became_of_the_one_before(house:
     way = Way(house, house.enter(ClientRole.PLANNER), FORBIDDEN + b"\n" + GO, shadow=True)
     way.proposal.read(way.plan())
     refused = way.decide(way.proposal.due())
-    assert way.keeper is not None
-    assert kinds(way.proposal.begun(refused, way.keeper)) == [NextTurn, CountDecision]
+    assert way.recorder is not None
+    assert kinds(way.proposal.begun(refused, way.recorder)) == [NextTurn, CountDecision]
 
 
 def test_a_planner_that_hung_up_while_its_step_waited_begins_nothing(house: DemoGate) -> None:

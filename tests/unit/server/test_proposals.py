@@ -13,8 +13,13 @@ from authguard_r.core.identifiers import Digest, Identifier
 from authguard_r.core.reasons import Reason
 from authguard_r.enforcement.json_views import report_json
 from authguard_r.enforcement.report import Refusal, Report
-from authguard_r.server.proposals import Keeper, ProposalAnswer, ProposalRecord, ProposalRegistry
-from authguard_r.server.replayed_response import retold
+from authguard_r.server.proposals import (
+    CommitRecorder,
+    ProposalAnswer,
+    ProposalRecord,
+    ProposalRegistry,
+)
+from authguard_r.server.replayed_response import replayed_step
 from authguard_r.store.transactions import Transaction
 from authguard_r.wire.disclosure import Disclosure
 from authguard_r.wire.gate_limits import LIMITS
@@ -69,13 +74,13 @@ def test_records_that_are_damaged_are_not_told_again() -> None:
     scenarios.propose(sim, scenarios.navigate("dock", "office-1"))
     row = sim.gate.ledger.store.rows()[-1]
     record, sealed = read_record(row.record, where=""), read_sealed(row.sealed, where="")
-    told = retold(record, sealed, None, {})
+    told = replayed_step(record, sealed, None, {})
     assert (told["safety"], told["action"]["destination"]) == ("not evaluated", "office-1")
-    assert retold(record, {}, None, {})["action"] is None  # destroyed since
+    assert replayed_step(record, {}, None, {})["action"] is None  # destroyed since
     for changes in ({"deviation": [1, 0]}, {"safety": 5}):
         damaged = msgspec.structs.replace(record, open={**record.open, **changes})
         with pytest.raises(StoreError) as fault:
-            retold(damaged, sealed, None, {})
+            replayed_step(damaged, sealed, None, {})
         assert fault.value.reason is Reason.STORE_CORRUPT
 
 
@@ -95,10 +100,10 @@ def test_a_step_whose_end_nobody_recorded_is_told_without_one() -> None:
 
 def test_what_is_held_in_a_turn_that_fails_is_not_held() -> None:
     ledger = scenarios.simulation().gate.ledger
-    keeper = Keeper(CLIENT, "k", ProposalRecord(evidence=ONE, planned=1, steps=()))
+    recorder = CommitRecorder(CLIENT, "k", ProposalRecord(evidence=ONE, planned=1, steps=()))
 
     def job(act: Transaction) -> None:
-        keeper(act, REFUSED, 0)
+        recorder(act, REFUSED, 0)
         raise StoreError("power is gone")
 
     with pytest.raises(StoreError):

@@ -173,7 +173,7 @@ def test_a_clock_that_is_behind_hides_no_mission() -> None:
         assert mission["open"] == [release.ticket for release in held.open]
         assert len(mission["open"]) == 1
         assert auditor.ask(Kind.METRICS)["mission_active"] == 1
-        house.gate.enforcer.intake.forget()  # a mission that was not verified here is not shown
+        house.gate.enforcer.inputs.forget()  # a mission that was not verified here is not shown
         house.service.queries.mission.changed()
         assert auditor.ask(Kind.STATUS)["mission"] is None
         house.clock.wrong_ms = 0

@@ -28,7 +28,7 @@ from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import PROTOCOL, Begun, ClientRole, Ended, Halt, Hello, Kind, Stood
 from fixtures import scenarios
 from unit.server.demo_site import GO, SCAN, DemoGate, HandClock, reasons
-from unit.sim.desks import LIFE, NONCE, framed, greeting, welcome
+from unit.sim.controller_bench import LIFE, NONCE, framed, handshake, welcome
 
 ONE, TWO = (Digest(b64(bytes([n]) * 32)) for n in (1, 2))
 
@@ -157,25 +157,25 @@ def test_every_message_goes_to_the_controller_and_stops_are_numbered() -> None:
 
 def test_the_first_word_on_how_an_action_ended_counts() -> None:
     bench = Bench()
-    flight = bench.dispatch()
-    assert (flight.outcome(), flight.used(), flight.why()) == (None, Spend(), "")
+    handle = bench.dispatch()
+    assert (handle.outcome(), handle.used(), handle.why()) == (None, Spend(), "")
     used = Spend(motion_ms=5)
     bench.remote.hear(Begun(ticket=ONE))
     bench.remote.hear(Ended(ticket=ONE, outcome=Outcome.ABORTED, used=used, why="STOPPED"))
     bench.remote.hear(Ended(ticket=ONE, outcome=Outcome.SUCCEEDED))
-    assert (flight.outcome(), flight.used(), flight.why()) == (Outcome.ABORTED, used, "STOPPED")
+    assert (handle.outcome(), handle.used(), handle.why()) == (Outcome.ABORTED, used, "STOPPED")
 
 
 def test_words_on_an_action_that_nobody_released_are_nothing() -> None:
     bench = Bench()
-    flight = bench.dispatch()
+    handle = bench.dispatch()
     bench.remote.hear(Ended(ticket=TWO, outcome=Outcome.SUCCEEDED))
     bench.remote.hear(Begun(ticket=TWO))
-    assert flight.outcome() is None
+    assert handle.outcome() is None
     bench.remote.forget(ONE)
     bench.remote.forget(ONE)
     bench.remote.hear(Ended(ticket=ONE, outcome=Outcome.SUCCEEDED))
-    assert flight.outcome() is None  # settled before: too late
+    assert handle.outcome() is None  # settled before: too late
 
 
 def test_an_action_whose_begin_nobody_confirms_is_doubted() -> None:
@@ -192,9 +192,9 @@ def test_an_action_whose_begin_nobody_confirms_is_doubted() -> None:
 
 def test_a_connection_that_is_lost_leaves_what_ran_in_doubt() -> None:
     bench = Bench()
-    flight = bench.dispatch()
+    handle = bench.dispatch()
     bench.remote.detach()
-    assert (flight.why(), bench.remote.connected) == ("CONTROLLER_FAILED", False)
+    assert (handle.why(), bench.remote.connected) == ("CONTROLLER_FAILED", False)
 
 
 def test_what_a_controller_that_came_back_tells_nothing_of_is_unknown_once_it_stands() -> None:
@@ -213,9 +213,9 @@ def test_what_a_controller_that_came_back_tells_nothing_of_is_unknown_once_it_st
 
 def test_a_controller_that_says_that_it_stands_leaves_what_runs_on_its_connection() -> None:
     bench = Bench()
-    flight = bench.dispatch()
+    handle = bench.dispatch()
     bench.remote.hear(Stood(stops=0, life=LIFE))
-    assert (flight.outcome(), flight.why()) == (None, "")
+    assert (handle.outcome(), handle.why()) == (None, "")
 
 
 # stops
@@ -353,16 +353,16 @@ def test_a_controller_that_was_started_anew_begins_nothing_by_its_old_count() ->
     with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
-        assert house.desk is not None
-        before = house.desk.life
+        assert house.session is not None
+        before = house.session.life
         assert house.controller is not None
         house.controller.leave()
         house.connect_robot()
-        desk = house.desk
-        desk.opened(
-            MessageSource.STOP, prove(welcome(), greeting(), nonce=NONCE, now=scenarios.NOW), 0
+        session = house.session
+        session.opened(
+            MessageSource.STOP, prove(welcome(), handshake(), nonce=NONCE, now=scenarios.NOW), 0
         )
-        desk.handle(
+        session.handle(
             MessageSource.STOP, framed(Kind.HALT, Halt(), 1), house.clock.ms
         )  # its word is lost
         house.stop(ClientRole.PLANNER, 1, stops=10, life=before)
@@ -377,13 +377,13 @@ def test_what_was_decided_before_an_operators_stop_never_starts(first: str) -> N
     with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
-        desk = house.desk
-        assert desk is not None
-        desk.opened(
-            MessageSource.STOP, prove(welcome(), greeting(), nonce=NONCE, now=scenarios.NOW), 0
+        session = house.session
+        assert session is not None
+        session.opened(
+            MessageSource.STOP, prove(welcome(), handshake(), nonce=NONCE, now=scenarios.NOW), 0
         )
         # the lane's stop is carried out; its word on whose it was is still on the way
-        said = desk.handle(MessageSource.STOP, framed(Kind.HALT, Halt(), 1), house.clock.ms)
+        said = session.handle(MessageSource.STOP, framed(Kind.HALT, Halt(), 1), house.clock.ms)
         here = house.place
         if first == "stood":
             house._deliver(tuple(sent for sent in said if sent.channel is MessageSource.GATE))
@@ -402,12 +402,12 @@ def test_a_planners_stop_holds_nobody_up_for_longer_than_its_word_takes() -> Non
     with DemoGate() as house:
         planner = house.enter(ClientRole.PLANNER)
         house.activate()
-        desk = house.desk
-        assert desk is not None
-        desk.opened(
-            MessageSource.STOP, prove(welcome(), greeting(), nonce=NONCE, now=scenarios.NOW), 0
+        session = house.session
+        assert session is not None
+        session.opened(
+            MessageSource.STOP, prove(welcome(), handshake(), nonce=NONCE, now=scenarios.NOW), 0
         )
-        said = desk.handle(MessageSource.STOP, framed(Kind.HALT, Halt(), 1), house.clock.ms)
+        said = session.handle(MessageSource.STOP, framed(Kind.HALT, Halt(), 1), house.clock.ms)
         house._deliver(tuple(sent for sent in said if sent.channel is MessageSource.GATE))
         house.stop(ClientRole.PLANNER, 1, stops=1)
         assert house.propose(planner, SCAN)["steps"][0]["execution"]["outcome"] == "succeeded"
@@ -455,7 +455,7 @@ def test_a_controller_that_hangs_up_in_mid_motion_leaves_it_unknown() -> None:
         number = house.begin(planner, GO)
         house.advance(500)
         assert house.controller is not None
-        house.desk = None
+        house.session = None
         house.controller.leave()
         (step,) = house.rest(planner, number)["steps"]
         assert (step["execution"]["outcome"], set(reasons(step))) == (
@@ -476,7 +476,7 @@ def test_nothing_begins_when_a_controller_comes_back_sooner_than_it_would_be_giv
         number = house.begin(planner, GO)
         house.advance(500)
         assert house.controller is not None
-        house.desk = None
+        house.session = None
         house.controller.leave()
         house.connect_robot()
         began = house.clock.mono_ms()
@@ -502,7 +502,7 @@ def test_a_controller_that_ignores_stops_does_not_hold_up_the_gate() -> None:
 
 def test_in_shadow_nothing_is_released_to_anybody_and_success_is_assumed() -> None:
     shadow = ShadowController()
-    flight = shadow.dispatch(scenarios.navigate("dock", "pharmacy"), lease())
+    handle = shadow.dispatch(scenarios.navigate("dock", "pharmacy"), lease())
     shadow.stop()
-    assert (flight.outcome(), flight.used()) == (Outcome.SUCCEEDED, Spend())
+    assert (handle.outcome(), handle.used()) == (Outcome.SUCCEEDED, Spend())
     assert msgspec.structs.asdict(lease())["ticket"] == ONE

@@ -36,7 +36,7 @@ from authguard_r.wire.messages import (
 )
 from fixtures import scenarios
 from unit.server.demo_site import FORBIDDEN, GO, PATIENCE_S, SCAN, DemoGate, HandClock, reasons
-from unit.sim.desks import NONCE
+from unit.sim.controller_bench import NONCE
 
 
 def test_status_names_damage_to_issued_missions_beside_the_active_one() -> None:
@@ -279,11 +279,11 @@ def test_a_stop_that_nobody_confirmed_is_an_alert() -> None:
 def test_a_lane_that_is_lost_is_an_alert_with_why() -> None:
     with DemoGate(robot=False) as house:
         fault = EnvironmentFault("gone", reason=Reason.STORE_UNAVAILABLE, where="stop lane")
-        house.do(lambda: house.service.stops.lane_lost(None))
-        house.do(lambda: house.service.stops.lane_lost(fault))
-        silent = partial(house.service.stops.lane_silent, is_silent=True)
-        house.do(partial(house.service.stops.lane_silent, is_silent=False))  # it is back
-        house.do(lambda: house.service.stops.lane_lost(fault))
+        house.do(lambda: house.service.stops.stop_process_lost(None))
+        house.do(lambda: house.service.stops.stop_process_lost(fault))
+        silent = partial(house.service.stops.stop_process_silent, is_silent=True)
+        house.do(partial(house.service.stops.stop_process_silent, is_silent=False))  # it is back
+        house.do(lambda: house.service.stops.stop_process_lost(fault))
         alerts = list(house.service.liveness.alerts)
         assert [alert["what"] for alert in alerts] == ["the stop lane is gone"] * 2
         assert [alert.get("over", False) for alert in alerts] == [True, False]
@@ -306,8 +306,8 @@ def test_refusals_in_a_row_are_an_alert_and_stop_the_robot() -> None:
         (stop,) = house.log("stop")
         assert stop.open["by"] == "gate"
         assert house.standing.status == "active"  # an alert takes no authority
-        assert house.desk is not None
-        assert house.desk.stops == 1
+        assert house.session is not None
+        assert house.session.stops == 1
 
 
 def test_in_shadow_nobody_is_stopped_for_getting_nowhere_and_silence_is_no_news() -> None:
@@ -398,14 +398,14 @@ def test_a_clock_that_fails_ends_the_gate_and_the_robot_is_stopped_first() -> No
 async def answering(house: DemoGate) -> None:
     """Answer as the controller would, from its own process, until nothing moves."""
     loop = asyncio.get_running_loop()
-    controller, desk = house.controller, house.desk
+    controller, session = house.controller, house.session
     assert controller is not None
-    assert desk is not None
+    assert session is not None
     while len(house.service.leases):
         controller.pull()
         came, controller.got = controller.got, []
         for item in came:
-            for sent in desk.handle(MessageSource.GATE, item, house.clock.ms):
+            for sent in session.handle(MessageSource.GATE, item, house.clock.ms):
                 data = frame(sent.kind, sent.id, sent.body)
                 await loop.sock_sendall(controller.line, data)
         await asyncio.sleep(0.001)

@@ -125,7 +125,7 @@ def told_by_gate(house: DemoGate, stood_ms: int | None) -> None:
 def test_an_operators_stop_that_joins_another_suspends_what_was_resumed_meanwhile() -> None:
     with DemoGate(robot=False) as house:
         house.connect_robot()
-        house.desk = None  # it hangs
+        house.session = None  # it hangs
         house.activate()
         hand = house.enter(OPERATOR)
         hand.say(Kind.STOP, Stop(why="first", key="one"))

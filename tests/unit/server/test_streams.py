@@ -174,7 +174,7 @@ def test_a_stream_is_closed_after_its_duration_and_takes_no_sample_then() -> Non
     with driving() as house:
         driven = Driven(house, ms=2_000)
         assert house.controller is not None
-        house.desk = None  # a controller that does not count by itself
+        house.session = None  # a controller that does not count by itself
         house.clock.ms += 1_980 - LIMITS.sample_gap_ms
         assert driven.sample(SLOW)[0] is True
         assert house.controller.bodies(Kind.CLOSE) == []
@@ -204,7 +204,7 @@ def test_what_is_not_known_any_more_reaches_further() -> None:
         house.advance(5_000)
         fast = {**ZERO, "linear_mm_s": 450}
         assert driven.sample(fast)[0] is True
-        streams, state = house.streams, house.gate.enforcer.intake.state
+        streams, state = house.streams, house.gate.enforcer.inputs.state
         assert streams is not None
         stream = streams._open[driven.ticket]
         house.clock.ms += 10_000

@@ -15,7 +15,7 @@ from authguard_r.sim.robot import Faults
 from authguard_r.wire.messages import Dispatch, Kind, Welcome
 from fixtures import scenarios
 from fixtures.cases import case
-from unit.sim.desks import BRAKE_MM_S2, LIFE, Bench, drive, framed, proven, ticket
+from unit.sim.controller_bench import BRAKE_MM_S2, LIFE, Bench, drive, framed, proven, ticket
 
 STOPPED = ("ENDED", "aborted", "STOPPED")
 LOST = ("ENDED", "aborted", "RENEWAL_LOST")
@@ -43,7 +43,7 @@ def test_an_action_that_is_renewed_is_carried_out_and_reported() -> None:
     assert bench.robot.state.region == "pharmacy"
     ended = bench.sent[-1].body
     assert ended.used.motion_ms > 10_000
-    assert bench.desk.stands
+    assert bench.session.stands
 
 
 def test_nothing_is_heard_before_the_server_has_proved_itself() -> None:
@@ -53,7 +53,7 @@ def test_nothing_is_heard_before_the_server_has_proved_itself() -> None:
     bench.renew()
     bench.halt()
     bench.wait(5_000)
-    assert (bench.place, bench.sent, bench.desk.stops) == (here, [], 0)
+    assert (bench.place, bench.sent, bench.session.stops) == (here, [], 0)
 
 
 def test_the_stop_lane_moves_nothing() -> None:
@@ -78,7 +78,7 @@ def test_the_stop_lane_cannot_keep_an_action_alive() -> None:
         bench.say(Kind.RENEW, {"ticket": ticket(1)}, MessageSource.STOP)
         bench.say(Kind.DISPATCH, order, MessageSource.STOP)
         bench.wait(20, renewing=None)
-    assert (bench.desk.stops, bench.speed < 800) == (1, True)
+    assert (bench.session.stops, bench.speed < 800) == (1, True)
 
 
 def test_a_gate_that_is_gone_is_not_heard_any_more() -> None:
@@ -93,7 +93,7 @@ def test_a_gate_that_is_gone_is_not_heard_any_more() -> None:
 def test_a_proof_for_another_robot_is_a_fault_of_ours() -> None:
     bench = Bench(opened=(), rid=scenarios.OTHER)
     with pytest.raises(RuntimeError):
-        bench.desk.opened(MessageSource.GATE, proven(), bench.now_ms)
+        bench.session.opened(MessageSource.GATE, proven(), bench.now_ms)
     assert bench.dispatch() == []
 
 
@@ -104,8 +104,8 @@ def test_an_order_that_is_no_order_moves_nothing() -> None:
     with pytest.raises(MalformedError):
         bench.say(Kind.HALT, {"softly": True})
     bench.wait(1_000)
-    assert bench.desk.stands
-    assert bench.desk.stops == 0
+    assert bench.session.stands
+    assert bench.session.stops == 0
 
 
 def test_frames_of_other_kinds_are_not_obeyed() -> None:
@@ -113,7 +113,7 @@ def test_frames_of_other_kinds_are_not_obeyed() -> None:
     bench.sent.clear()
     for kind in (Kind.REPLY, Kind.ERROR, Kind.EVENT, Kind.STOP):
         assert bench.say(kind, {}) == []
-    assert bench.desk.stops == 0
+    assert bench.session.stops == 0
 
 
 @pytest.mark.parametrize("every_ms", [1, 7, 20, 250])
@@ -131,7 +131,7 @@ def test_a_renewal_of_another_action_renews_nothing() -> None:
     bench = moving()
     bench.wait(400, renewing=2)
     assert bench.speed < 800
-    assert bench.desk.stops == 1
+    assert bench.session.stops == 1
 
 
 def test_the_way_of_braking_is_v_squared_over_two_a() -> None:
@@ -144,7 +144,7 @@ def test_the_way_of_braking_is_v_squared_over_two_a() -> None:
                 begun = bench.place
                 bench.halt()
                 speeds = [bench.speed]
-                while not bench.desk.stands:
+                while not bench.session.stands:
                     bench.wait(every_ms, renewing=None, every_ms=every_ms)
                     speeds.append(bench.speed)
                 way = hypot(bench.place[0] - begun[0], bench.place[1] - begun[1])
@@ -219,7 +219,7 @@ def test_nothing_begins_while_the_robot_brakes() -> None:
     bench.dispatch(number=2, stops=99)
     assert bench.said() == [("ENDED", "not_started", "STOPPED")]
     bench.wait(5_000)
-    assert bench.desk.stands
+    assert bench.session.stands
 
 
 @pytest.mark.parametrize("life", [0, LIFE - 1, LIFE + 1])
@@ -270,7 +270,7 @@ def test_what_cannot_be_begun_was_not_started(faults: Faults | None) -> None:
     bench = Bench(faults=faults)
     bench.dispatch(None if faults else scenarios.navigate("dock", "moon"))
     assert bench.said()[-1] == ("ENDED", "not_started", "CONTROLLER_FAILED")
-    assert bench.desk.stands
+    assert bench.session.stands
 
 
 def test_what_fails_says_so() -> None:
@@ -352,7 +352,7 @@ def test_a_controller_that_ignores_stops_goes_on_and_never_says_that_it_stands()
     bench.wait(1_000, renewing=None)
     assert bench.speed == 800
     assert bench.sent == []
-    assert bench.desk.stops == 0
+    assert bench.session.stops == 0
 
 
 def test_a_slow_controller_moves_at_once_and_answers_late() -> None:
@@ -386,7 +386,7 @@ def test_a_stream_follows_its_samples_and_stands_without_them() -> None:
     bench.finish()
     bench.wait(2_000)
     assert bench.said()[-1] == ("ENDED", "succeeded", "")
-    assert bench.desk.stops == 0
+    assert bench.session.stops == 0
 
 
 def test_a_stream_turns() -> None:
@@ -489,31 +489,31 @@ def test_what_came_in_time_renews_although_the_process_was_held_up() -> None:
     bench.renew()
     bench.now_ms += 200
     bench.renew()
-    bench.sent += bench.desk.tick(bench.now_ms)
+    bench.sent += bench.session.tick(bench.now_ms)
     assert bench.speed == 800
 
 
 def test_a_robot_in_a_hurry_moves_faster_and_its_gate_is_missed_as_soon() -> None:
     bench = Bench()
-    bench.desk.body = SymbolicBody(bench.robot, speed_up=10)
+    bench.session.body = SymbolicBody(bench.robot, speed_up=10)
     bench.dispatch()
     bench.wait(200)
     assert bench.robot.elapsed_ms == 2_000
     bench.wait(300 + STEP_MS, renewing=None)
-    assert bench.desk.stops == 1
+    assert bench.session.stops == 1
 
 
 def test_only_a_proof_opens_a_channel() -> None:
     """The type says it; the frame of a welcome by itself is nothing."""
     bench = Bench(opened=())
-    assert bench.desk.handle(MessageSource.GATE, framed(Kind.WELCOME, {}), bench.now_ms) == ()
+    assert bench.session.handle(MessageSource.GATE, framed(Kind.WELCOME, {}), bench.now_ms) == ()
     assert Proven.__struct_fields__ == ("welcome",)
     assert Welcome.__struct_config__.frozen
 
 
 def test_only_a_server_that_proved_itself_and_is_there_counts_as_heard() -> None:
     bench = Bench(opened=(MessageSource.GATE,))
-    assert bench.desk.hears(MessageSource.GATE)
-    assert not bench.desk.hears(MessageSource.STOP)
+    assert bench.session.hears(MessageSource.GATE)
+    assert not bench.session.hears(MessageSource.STOP)
     bench.close()
-    assert not bench.desk.hears(MessageSource.GATE)
+    assert not bench.session.hears(MessageSource.GATE)

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from authguard_r.client.controller import KEPT, ControllerDesk, MessageSource
+from authguard_r.client.controller import KEPT, ControllerSession, MessageSource
 from authguard_r.core.action import Action
 from authguard_r.core.identifiers import ActionType, Digest
 from authguard_r.core.standing import Outcome, Spend
 from authguard_r.wire.messages import Begun, Ended, Kind, Stood
 from fixtures import scenarios
-from unit.sim.desks import LIFE, Bench, drive, ticket
+from unit.sim.controller_bench import LIFE, Bench, drive, ticket
 
 LAMP = Action(type=ActionType("lamp"), tool="lamps", params={})
 
@@ -77,7 +77,7 @@ class Row(Bench):
     def __init__(self) -> None:
         super().__init__(opened=())
         self.lamps = Lamps()
-        self.desk = ControllerDesk(self.lamps, life=LIFE, now_ms=self.now_ms)
+        self.session = ControllerSession(self.lamps, life=LIFE, now_ms=self.now_ms)
         self.open()
 
     def light(self, *numbers: int, **changes: int) -> None:
@@ -93,7 +93,7 @@ class Row(Bench):
             self.now_ms += 20
             for number in numbers:
                 self.renew(number)
-            self.sent += self.desk.tick(self.now_ms)
+            self.sent += self.session.tick(self.now_ms)
 
     @property
     def ends(self) -> list[tuple[str, str, str]]:
@@ -108,7 +108,7 @@ def test_three_run_and_each_ends_by_itself() -> None:
     row.lamps.lamps[ticket(2)].ended = Outcome.SUCCEEDED
     row.go_on(400, 1, 2, 3)
     assert row.ends == [("2", "succeeded", "")]
-    assert not row.desk.stands
+    assert not row.session.stands
     row.light(4)  # in its place
 
 

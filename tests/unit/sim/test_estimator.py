@@ -20,7 +20,7 @@ from authguard_r.sim.sight import snapshot_of
 from authguard_r.wire.frames import Frame, FrameReader, read_body
 from authguard_r.wire.messages import Attest, Fault, Kind
 from fixtures import scenarios
-from unit.sim.desks import framed
+from unit.sim.controller_bench import framed
 
 EPOCH = 1_700_000_000_000
 

@@ -9,7 +9,7 @@ from msgspec import UNSET
 from msgspec.structs import replace
 
 from authguard_r.client.driver import BOUNDS
-from authguard_r.client.handshake import Greeting, Speaks
+from authguard_r.client.handshake import Handshake, Speaks
 from authguard_r.client.proof import MAX_WELCOME, Conversation, prove
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import (
@@ -23,15 +23,15 @@ from authguard_r.wire.frames import frame, raw_frame
 from authguard_r.wire.messages import ClientRole, Fault, Kind, Renew, Welcome
 from fixtures import scenarios
 from fixtures.cases import case
-from unit.sim.desks import NONCE, framed, greeting, ticket, welcome
+from unit.sim.controller_bench import NONCE, framed, handshake, ticket, welcome
 
 
 def conversation() -> Conversation:
-    return Conversation(greeting(), nonce=NONCE, bounds=BOUNDS, now=lambda: scenarios.NOW)
+    return Conversation(handshake(), nonce=NONCE, bounds=BOUNDS, now=lambda: scenarios.NOW)
 
 
 def test_the_gate_of_this_robot_is_believed() -> None:
-    proven = prove(welcome(), greeting(), nonce=NONCE, now=scenarios.NOW)
+    proven = prove(welcome(), handshake(), nonce=NONCE, now=scenarios.NOW)
     assert proven.welcome.robot == scenarios.RID
 
 
@@ -52,14 +52,14 @@ def test_nobody_else_is_believed() -> None:
         (f"gate-{scenarios.RID}", {"protocol": "authguard-r/gate/2"}),
     ]:
         with case(by, changes), pytest.raises((AuthenticityError, MalformedError)):
-            prove(welcome(by, **changes), greeting(), nonce=NONCE, now=scenarios.NOW)
+            prove(welcome(by, **changes), handshake(), nonce=NONCE, now=scenarios.NOW)
 
 
 WORDS = {"site": Digest("s" * 43), "binding": Digest("b" * 43)}
 
 
 def test_a_gate_that_speaks_the_same_words_is_taken() -> None:
-    asks = replace(greeting(), speaks=Speaks(**WORDS))
+    asks = replace(handshake(), speaks=Speaks(**WORDS))
     assert (
         prove(welcome(**WORDS), asks, nonce=NONCE, now=scenarios.NOW).welcome.site == WORDS["site"]
     )
@@ -71,7 +71,7 @@ def test_a_gate_that_speaks_the_same_words_is_taken() -> None:
 )
 def test_a_gate_that_speaks_other_words_is_not_taken(word: str, said: object) -> None:
     """What it releases would be rebuilt as something that nobody decided."""
-    asks = replace(greeting(), speaks=Speaks(**WORDS))
+    asks = replace(handshake(), speaks=Speaks(**WORDS))
     with pytest.raises(RefusedError, match="SITE_MISMATCH") as refused:
         prove(welcome(**{**WORDS, word: said}), asks, nonce=NONCE, now=scenarios.NOW)
     assert refused.value.where == f"welcome.{word}"
@@ -80,16 +80,16 @@ def test_a_gate_that_speaks_other_words_is_not_taken(word: str, said: object) ->
 def test_a_gate_that_refuses_says_why() -> None:
     fault = framed(Kind.ERROR, Fault(code="ROLE_DENIED", message="no", where="peer"))
     with pytest.raises(AuthGuardError, match="ROLE_DENIED"):
-        prove(fault, greeting(), nonce=NONCE, now=scenarios.NOW)
+        prove(fault, handshake(), nonce=NONCE, now=scenarios.NOW)
 
 
 def test_an_order_instead_of_a_welcome_is_no_proof() -> None:
     with pytest.raises(MalformedError):
-        prove(framed(Kind.HALT, {}), greeting(), nonce=NONCE, now=scenarios.NOW)
+        prove(framed(Kind.HALT, {}), handshake(), nonce=NONCE, now=scenarios.NOW)
 
 
 def test_a_proof_that_nobody_can_check_is_not_asked_for() -> None:
-    blind = Greeting(role=ClientRole.CONTROLLER, client="c", robot=scenarios.RID)
+    blind = Handshake(role=ClientRole.CONTROLLER, client="c", robot=scenarios.RID)
     with pytest.raises(RuntimeError):
         prove(welcome(), blind, nonce=NONCE, now=scenarios.NOW)
 

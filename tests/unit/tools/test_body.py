@@ -102,9 +102,9 @@ def test_a_move_that_did_not_arrive_is_stopped_before_anybody_is_told() -> None:
     async def talk() -> None:
         robot = Robot(navigate_to=[ERROR], say=[DONE])
         body = body_of(robot, "say")
-        flight = body.begin(GO, TICKET)
-        await until(lambda: flight.outcome() is not None)
-        assert (flight.outcome(), body.stands) == (Outcome.FAILED, True)
+        handle = body.begin(GO, TICKET)
+        await until(lambda: handle.outcome() is not None)
+        assert (handle.outcome(), body.stands) == (Outcome.FAILED, True)
         assert robot.calls == ["navigate_to", "say"]
         body.begin(GO, TICKET)  # and goes on
 
@@ -114,14 +114,14 @@ def test_a_move_that_did_not_arrive_is_stopped_before_anybody_is_told() -> None:
 def test_without_stop_calls_a_move_that_did_not_arrive_leaves_a_doubt() -> None:
     async def talk() -> None:
         body = body_of(Robot(navigate_to=[ERROR, DONE]))
-        flight = body.begin(GO, TICKET)
-        await until(lambda: flight.outcome() is not None)
+        handle = body.begin(GO, TICKET)
+        await until(lambda: handle.outcome() is not None)
         assert not body.stands
         body.brake()
         await asyncio.sleep(0.05)
         assert not body.stands
-        flight = body.begin(GO, TICKET)
-        await until(lambda: flight.outcome() is not None)
+        handle = body.begin(GO, TICKET)
+        await until(lambda: handle.outcome() is not None)
         assert body.stands  # it arrived
 
     asyncio.run(talk())
@@ -131,9 +131,9 @@ def test_a_server_that_is_lost_in_motion_is_told_to_stop_until_it_says_so() -> N
     async def talk() -> None:
         robot = Robot(navigate_to=[LOST], say=[LOST, ERROR, DONE])
         body = body_of(robot, "say")
-        flight = body.begin(GO, TICKET)
-        await until(lambda: flight.outcome() is not None)
-        assert flight.outcome() is Outcome.UNKNOWN
+        handle = body.begin(GO, TICKET)
+        await until(lambda: handle.outcome() is not None)
+        assert handle.outcome() is Outcome.UNKNOWN
         with pytest.raises(ControllerError, match="being stopped"):
             body.begin(GO, TICKET)
         body.brake()  # it is at it already
@@ -147,11 +147,11 @@ def test_a_stop_that_failed_once_is_tried_again() -> None:
     async def talk() -> None:
         robot = Robot(navigate_to=[None], say=[LOST, LOST, DONE])
         body = body_of(robot, "say")
-        flight = body.begin(GO, TICKET)
+        handle = body.begin(GO, TICKET)
         await until(lambda: robot.calls)
         body.brake()
-        await until(lambda: flight.outcome() is not None)
-        assert (flight.outcome(), body.stands) == (Outcome.UNKNOWN, False)
+        await until(lambda: handle.outcome() is not None)
+        assert (handle.outcome(), body.stands) == (Outcome.UNKNOWN, False)
         await until(lambda: body.stands)
         assert robot.calls == ["navigate_to", "say", "say", "say"]
 
@@ -210,10 +210,10 @@ def test_who_lets_go_in_mid_motion_stops_first_and_does_not_wait_for_ever(
 
 def test_the_first_word_on_how_it_ended_counts() -> None:
     kind = scenarios.site().vocabulary[scenarios.navigate("dock", "pharmacy").type]
-    flight = ToolGoal(kind)
-    flight.end(Outcome.FAILED, ExecutionNews(b"x", ("x",)))
-    flight.end(Outcome.SUCCEEDED)
-    assert (flight.outcome(), flight.told()) == (Outcome.FAILED, ExecutionNews(b"x", ("x",)))
+    handle = ToolGoal(kind)
+    handle.end(Outcome.FAILED, ExecutionNews(b"x", ("x",)))
+    handle.end(Outcome.SUCCEEDED)
+    assert (handle.outcome(), handle.told()) == (Outcome.FAILED, ExecutionNews(b"x", ("x",)))
 
 
 def test_a_call_that_was_never_made_leaves_a_robot_that_stands() -> None:
@@ -225,13 +225,13 @@ def test_a_call_that_was_never_made_leaves_a_robot_that_stands() -> None:
             rebuilder=Rebuilder(scenarios.site(), scenarios.binding()),
         )
         body = ToolBody(scenarios.RID, Silent(), means, ended.set, ProcessLog())
-        flight = body.begin(GO, TICKET)
+        handle = body.begin(GO, TICKET)
         assert not body.stands
         await ended.wait()
-        assert flight.outcome() is Outcome.NOT_STARTED
+        assert handle.outcome() is Outcome.NOT_STARTED
         assert body.stands
         body.brake()  # nothing runs, and nothing is stopped
-        assert flight.outcome() is Outcome.NOT_STARTED
+        assert handle.outcome() is Outcome.NOT_STARTED
 
     asyncio.run(talk())
 
@@ -252,10 +252,10 @@ def test_a_fault_while_an_answer_is_carried_ends_its_call_and_is_said(capsys: An
             rebuilder=Rebuilder(scenarios.site(), scenarios.binding()),
         )
         body = ToolBody(scenarios.RID, Broken(), means, ended.set, ProcessLog())
-        flight = body.begin(GO, TICKET)
+        handle = body.begin(GO, TICKET)
         async with asyncio.timeout(10):
             await ended.wait()
-        assert flight.outcome() is Outcome.UNKNOWN
+        assert handle.outcome() is Outcome.UNKNOWN
         assert not body.stands  # it may have been carried out
 
     asyncio.run(talk())

@@ -246,7 +246,7 @@ def approve(
     standing = scene.standing()
     if standing is None:
         return
-    verified = scene.sim.gate.ledger.run(scene.sim.gate.enforcer.intake.active_mission)
+    verified = scene.sim.gate.ledger.run(scene.sim.gate.enforcer.inputs.active_mission)
     for grant, request in standing.requests.items():
         made = answer(verified, grant, request, rid=scene.sim.robot.rid, verdict=verdict)
         made = msgspec.structs.replace(made, **changes)
@@ -262,7 +262,7 @@ def force_in(scene: BenchScene, token: bytes) -> None:
     """
 
     def job(act: Transaction) -> None:
-        verified = scene.sim.gate.enforcer.intake.verify_mission(token, act)
+        verified = scene.sim.gate.enforcer.inputs.verify_mission(token, act)
         standing = advance(issue(verified), Event.ACTIVATE)
         if standing is None:
             raise RuntimeError("an issued mission could not be activated")

@@ -178,7 +178,7 @@ def through_the_gate(stage: Stage, raw: bytes) -> ExecutedPlan:
     except MalformedError as error:
         return unread(error, _us(begun))
     normalized = _us(begun)
-    road = _Road(stage, plan)
+    road = _Execution(stage, plan)
     for step in plan.steps:
         if not road.take(step):
             break
@@ -202,7 +202,7 @@ def through_the_gate(stage: Stage, raw: bytes) -> ExecutedPlan:
     )
 
 
-class _Road:
+class _Execution:
     """A plan on its way through the gate."""
 
     def __init__(self, stage: Stage, plan: Plan) -> None:

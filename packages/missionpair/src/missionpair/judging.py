@@ -142,7 +142,7 @@ class Walk:
         gate, robot = stage.sim.gate, stage.sim.robot
         walk = cls(stage, robot.state, Now(robot.wall_ms(), gate.ledger.mono_ms()), None)
         try:
-            walk.verified = gate.ledger.run(gate.enforcer.intake.active_mission)
+            walk.verified = gate.ledger.run(gate.enforcer.inputs.active_mission)
         except AuthGuardError as error:
             walk.refusal = error.reason
         walk.standing = stage.standing()
@@ -173,7 +173,7 @@ class Walk:
         answers: Any = ()
         if self.standing is not None and self.standing.requests:
             gate, standing = self.stage.sim.gate, self.standing
-            answers = gate.ledger.run(lambda act: gate.enforcer.intake.answers(act, standing))
+            answers = gate.ledger.run(lambda act: gate.enforcer.inputs.answers(act, standing))
             answers = answers.approvals
         decided = decide(
             self.verified,
@@ -328,7 +328,7 @@ def proved(walk: Walk, action: Action) -> JudgedEffect:
     approvals = []
     if walk.standing is not None and walk.standing.requests:
         gate, standing = stage.sim.gate, walk.standing
-        answers = gate.ledger.run(lambda act: gate.enforcer.intake.answers(act, standing))
+        answers = gate.ledger.run(lambda act: gate.enforcer.inputs.answers(act, standing))
         approvals = [plain(item) for item in answers.approvals]
     verdict = oracle.decide(
         plain(stage.scene.mission),

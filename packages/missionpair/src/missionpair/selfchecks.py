@@ -150,7 +150,7 @@ def state_stale(bench: Bench) -> bool:
     propose(scene)
     held = scene.sim.robot.latest()
     scene.sim.robot.latest = lambda: held  # type: ignore[method-assign]
-    scene.sim.gate.enforcer.intake.refresh()  # its age counts from when the gate takes it in
+    scene.sim.gate.enforcer.inputs.refresh()  # its age counts from when the gate takes it in
     scene.sim.robot.pause(5_000)
     return _reasons(scene) == ("STATE_STALE",)
 

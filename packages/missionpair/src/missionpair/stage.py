@@ -192,8 +192,8 @@ class Stage:
         """Keep how everything is now, for `again`: with what is verified once for all of them."""
         with suppress(AuthGuardError):
             gate = self.sim.gate
-            gate.ledger.run(gate.enforcer.intake.active_mission)
-            gate.enforcer.intake.refresh()
+            gate.ledger.run(gate.enforcer.inputs.active_mission)
+            gate.enforcer.inputs.refresh()
         self._mark, self.checked = Memento(self.sim.gate, self.sim.robot), None
 
     def again(self) -> None:

@@ -168,7 +168,7 @@ def _judge(
     approvals = []
     if standing is not None and standing.requests:
         answered = scene.sim.gate.ledger.run(
-            lambda act: scene.sim.gate.enforcer.intake.answers(act, standing)
+            lambda act: scene.sim.gate.enforcer.inputs.answers(act, standing)
         )
         approvals = [plain(item) for item in answered.approvals]
     verdict = oracle.decide(

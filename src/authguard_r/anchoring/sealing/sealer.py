@@ -43,11 +43,7 @@ class Sealer:
     """
 
     def __init__(
-        self,
-        robot: RobotId,
-        policy: SealingPolicy,
-        *,
-        random: Callable[[int], bytes] = os.urandom,
+        self, robot: RobotId, policy: SealingPolicy, *, random: Callable[[int], bytes] = os.urandom
     ) -> None:
         self._robot = robot
         self._random = random
@@ -116,11 +112,7 @@ class Sealer:
         for reader, public in self._readers:
             for data in reader.classes:
                 bound = WrappedFor(
-                    robot=self._robot,
-                    mid=entry.mid,
-                    keys=cover.keys,
-                    data=data,
-                    reader=public.name,
+                    robot=self._robot, mid=entry.mid, keys=cover.keys, data=data, reader=public.name
                 )
                 text = b64(public.wrap(cover.classes[data], encode(bound)))
                 wrapped = Wrapped(reader=public.name, role=reader.role, text=text)

@@ -61,7 +61,7 @@ class Management:
 
     Args:
         ledger: store and trusted time.
-        intake: verifies missions, templates and approvals.
+        inputs: verifies missions, templates and approvals.
         verifier: verifies commands and selections.
         facts: the signed site and the gate's identity.
         sealing: what of the log is sealed, and how long it is kept.
@@ -70,16 +70,16 @@ class Management:
     def __init__(
         self,
         ledger: Ledger,
-        intake: InputVerifier,
+        inputs: InputVerifier,
         *,
         verifier: Verifier,
         facts: SiteFacts,
         sealing: SealingPolicy = SealingPolicy(),  # noqa: B008 - frozen
     ) -> None:
         self._ledger = ledger
-        self._intake = intake
+        self._inputs = inputs
         self._parts = ManagementParts(
-            intake=intake, verifier=verifier, facts=facts, sealing=sealing
+            inputs=inputs, verifier=verifier, facts=facts, sealing=sealing
         )
 
     def issue(self, token: bytes, *, confirmation: bytes | None = None) -> Standing:
@@ -157,7 +157,7 @@ class Management:
             return accept_store(act, token, parts=self._parts)
 
         done = attempt(self._ledger, job)
-        self._intake.anchor.accepted()
+        self._inputs.anchor.accepted()
         return done
 
     def shred(self, token: bytes) -> Shredding:
@@ -284,7 +284,7 @@ class Management:
     @property
     def is_behind(self) -> bool:
         """True while a value of the newest state is from before the gate's start."""
-        return bool(behind_of(self._intake.state))
+        return bool(behind_of(self._inputs.state))
 
     def recover(self, *, unclean: bool = False) -> tuple[Digest, ...]:
         """After a stop: settle what attested state settles, suspend for the rest.
@@ -303,7 +303,7 @@ class Management:
         Raises:
             RefusedError: the store has seen an organization's policy, and this gate has none.
         """
-        self._intake.refresh()
+        self._inputs.refresh()
 
         def job(act: Transaction) -> tuple[Digest, ...]:
             if not self._parts.facts.risk:
@@ -331,7 +331,7 @@ class Management:
         """Carry an order out, unless the store was put back and not accepted yet."""
 
         def held(act: Transaction) -> T:
-            self._intake.anchor.require()
+            self._inputs.anchor.require()
             return job(act)
 
         return attempt(self._ledger, held)

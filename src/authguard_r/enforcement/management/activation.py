@@ -176,7 +176,7 @@ def _offered(
     act: Transaction, token: bytes, confirmation: bytes | None, parts: ManagementParts
 ) -> _Offered:
     if read_token(token).kind is not Tag.INSTANCE:
-        verified = parts.intake.verify_mission(token, act)
+        verified = parts.inputs.verify_mission(token, act)
         return _Offered(verified=verified, held=token, token=token, confirmation=confirmation)
     if confirmation is not None:
         text = "nobody confirms an instance: its template was confirmed"
@@ -238,11 +238,11 @@ def _over(act: Transaction, standing: Standing, parts: ManagementParts) -> Reaso
         before = REFUSAL.get(known.status) if known.status in TERMINAL else _over(act, known, parts)
         if before in _ENDS:
             return before
-    if act.now.utc_ms > parts.intake.held(act, standing.digest).expiry_ms:
+    if act.now.utc_ms > parts.inputs.held(act, standing.digest).expiry_ms:
         return Reason.EXPIRED
     if standing.status is Status.CLOSING and act.now.utc_ms > standing.closes_ms:
         return Reason.MISSION_COMPLETED
-    return parts.intake.lost(act, standing.digest)
+    return parts.inputs.lost(act, standing.digest)
 
 
 def require_bound(mission: Mission, facts: SiteFacts) -> None:
@@ -310,7 +310,7 @@ def _update(
             f"expected the version after {known.version}, superseding its digest",
             "mission.supersedes",
         )
-    before = parts.intake.mission(act, known.digest)
+    before = parts.inputs.mission(act, known.digest)
     if verified.issuer.id != before.mission.issuer and verified.issuer.role != "safety_officer":
         raise refuse(Reason.ROLE_DENIED, "only its issuer or a safety officer supersedes a mission")
     if advance(known, Event.SUPERSEDE) is None:

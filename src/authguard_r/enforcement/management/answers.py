@@ -41,16 +41,16 @@ def take_answer(
     Raises:
         AuthGuardError: malformed or not authentic, or its signer has said this too often.
     """
-    item = parts.intake.verify_answer(act, token)
+    item = parts.inputs.verify_answer(act, token)
     said, standing = item.approval, act.standing(item.approval.mid)
     if is_asked(act, said):
-        is_new = parts.intake.keep_answer(act, item, token)
+        is_new = parts.inputs.keep_answer(act, item, token)
     elif standing is not None and said.counter <= standing.counter:
         is_new = _mark_late(act, item)
     else:
         fault = refuse(Reason.APPROVAL_TIMEOUT, "there never was such a request", "approval")
-        fold = ("management", str(fault.reason), fault.where)
-        act.refuse(refusal_entry(fault, act.now.utc_ms), fold=fold)
+        dedup_key = ("management", str(fault.reason), fault.where)
+        act.refuse(refusal_entry(fault, act.now.utc_ms), dedup_key=dedup_key)
         return item
     worth, closes = _effect(act, item, ledger, parts)
     if not (is_new or closes):
@@ -85,10 +85,10 @@ def _effect(
     act: Transaction, item: VerifiedApproval, ledger: Ledger, parts: ManagementParts
 ) -> tuple[str, bool]:
     """Return why an answer has no effect, empty when it has, and whether it closed its request."""
-    intake, facts = parts.intake, parts.facts
+    inputs, facts = parts.inputs, parts.facts
     try:
         asked = find_asked(
-            act, item.approval, mission=intake.mission, facts=facts, opened=ledger.opened
+            act, item.approval, mission=inputs.mission, facts=facts, opened=ledger.opened
         )
     except (AuthenticityError, RefusedError) as error:  # nothing is decided by this mission now
         return str(error.reason), False

@@ -52,7 +52,7 @@ class Lists:
 
     Args:
         ledger: store and trusted time.
-        intake: verifies anew what it verified before.
+        inputs: verifies anew what it verified before.
         trust: where the lists are in force.
         chain: the gate's own certificates.
         dismissed: called when a list revokes these: the gate releases nothing any more.
@@ -61,14 +61,14 @@ class Lists:
     def __init__(
         self,
         ledger: Ledger,
-        intake: InputVerifier,
+        inputs: InputVerifier,
         trust: Trust,
         *,
         chain: tuple[bytes, ...],
         dismissed: Callable[[], None],
     ) -> None:
         self._ledger = ledger
-        self._intake = intake
+        self._inputs = inputs
         self._trust = trust
         self._chain = chain
         self._dismissed = dismissed
@@ -105,7 +105,7 @@ class Lists:
             _hold(act, der, found, by="order")
             # inside the turn: a decision of any later one is made under the new list
             self._trust.put_in_force({der: found})
-            self._intake.doubt(act.now)
+            self._inputs.doubt(act.now)
 
         try:
             self._ledger.run(job, essential=True)

@@ -62,7 +62,7 @@ def carry_out(act: Transaction, token: bytes, *, parts: ManagementParts) -> Stan
         go_on(act)
     if after.status in TERMINAL and not is_issued:
         act.make_active(None)
-        parts.intake.forget()
+        parts.inputs.forget()
     opened: dict[str, object] = {
         "verb": command.verb,
         "by": signer.id,
@@ -102,9 +102,9 @@ def _require_current(
     if not signer.scope.covers(standing.rid):
         raise refuse(Reason.SIGNER_OUT_OF_SCOPE, f"`{signer.id}` has no say about this robot")
     if command.verb in ENDING:
-        mission = parts.intake.held(act, standing.digest).mission
+        mission = parts.inputs.held(act, standing.digest).mission
     else:  # what lets it go on: only while its signature holds
-        mission = parts.intake.mission(act, standing.digest).mission
+        mission = parts.inputs.mission(act, standing.digest).mission
     mine = signer.id == mission.issuer
     if not mine and not (command.verb in NARROWING and signer.role == "safety_officer"):
         raise refuse(Reason.ROLE_DENIED, f"`{signer.id}` may not {command.verb} this mission")
@@ -163,7 +163,7 @@ def choose(act: Transaction, token: bytes, *, parts: ManagementParts) -> Standin
     require_timely(act, selection, "selection")
     require_newest(act, f"{selection.mid}/{selection.grant}/selection", selection.issued_ms)
     require_signed_since(act, selection.issued_ms)
-    verified = parts.intake.mission(act, standing.digest)
+    verified = parts.inputs.mission(act, standing.digest)
     grant = next((g for g in verified.mission.actions if g.id == selection.grant), None)
     if grant is None or selection.row >= len(grant.alternatives):
         raise refuse(Reason.SCHEMA_INVALID, "the mission has no such row", "selection.row")

@@ -39,13 +39,13 @@ class ManagementParts(Struct, frozen=True, kw_only=True):
     """What the acts need of their gate.
 
     Args:
-        intake: verifies missions, templates and approvals.
+        inputs: verifies missions, templates and approvals.
         verifier: verifies commands and selections.
         facts: the signed site and the gate's identity.
         sealing: what of the log is sealed, and how long it is kept.
     """
 
-    intake: InputVerifier
+    inputs: InputVerifier
     verifier: Verifier
     facts: SiteFacts
     sealing: SealingPolicy = SealingPolicy()
@@ -58,8 +58,8 @@ def attempt(ledger: Ledger, job: Callable[[Transaction], T]) -> T:
     except EnvironmentFault:
         raise
     except AuthGuardError as error:
-        refused, fold = error, ("management", str(error.reason), error.where)
-        ledger.refuse(lambda at: refusal_entry(refused, at), fold=fold)
+        refused, dedup_key = error, ("management", str(error.reason), error.where)
+        ledger.refuse(lambda at: refusal_entry(refused, at), dedup_key=dedup_key)
         raise
 
 

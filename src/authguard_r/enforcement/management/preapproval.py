@@ -40,14 +40,14 @@ def preapprove(act: Transaction, token: bytes, *, parts: ManagementParts) -> Sta
         AuthGuardError: malformed, not authentic, not this signer's to give, wider than a
             pre-approval may be, or older than one that was taken in; nothing was changed.
     """
-    item = parts.intake.verify_preapproval(act, token)
+    item = parts.inputs.verify_preapproval(act, token)
     said = item.preapproval
     standing = act.standing(said.mid)
     if standing is None or (standing.digest, standing.version) != (said.mission, said.version):
         raise refuse(Reason.MISSION_UNKNOWN, "no such mission version is here")
     if standing.status in {*TERMINAL, Status.ISSUED}:
         raise replayed(standing)
-    verified = parts.intake.mission(act, standing.digest)
+    verified = parts.inputs.mission(act, standing.digest)
     grant = next((g for g in verified.mission.actions if g.id == said.grant), None)
     if grant is None:
         text = f"expected one of {', '.join(g.id for g in verified.mission.actions)}"
@@ -56,7 +56,7 @@ def preapprove(act: Transaction, token: bytes, *, parts: ManagementParts) -> Sta
     _require_eligible(item.approver, said, verified, grant, parts)
     _require_new(act, item)
     text = token.decode("ascii").strip()
-    kept = parts.intake.preapprovals.keep(act, item, text, act.now)
+    kept = parts.inputs.preapprovals.keep(act, item, text, act.now)
     left = {**standing.preapproved, item.digest: said.uses}
     held = replace(standing, preapproved={one: left.get(one, 0) for one in kept})
     act.hold(held)
@@ -81,7 +81,7 @@ def withdraw_denied(
 
     Only what is signed after the denial counts again.
     """
-    kept = parts.intake.preapprovals.drop(act, standing.mid, grant, act.now)
+    kept = parts.inputs.preapprovals.drop(act, standing.mid, grant, act.now)
     act.put(_DENIED, f"{standing.mid}/{grant}", str(act.now.utc_ms).encode("ascii"))
     return replace(standing, preapproved={one: standing.preapproved.get(one, 0) for one in kept})
 

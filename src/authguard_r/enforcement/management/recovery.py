@@ -38,18 +38,14 @@ def recover(act: Transaction, *, unclean: bool, parts: ManagementParts) -> tuple
     standing = act.standing(mid) if mid is not None else None
     if standing is None or not (standing.open or (unclean and standing.status not in TERMINAL)):
         return ()
-    mission = parts.intake.held(act, standing.digest).mission
+    mission = parts.inputs.held(act, standing.digest).mission
     for release in standing.open:
         grant = next((g for g in mission.actions if g.id == release.grant), None)
         if grant is not None and _is_done(grant, act, parts):
             done = Outcome.SUCCEEDED
             settle_memory(act, standing, mission, ticket=release.ticket, outcome=done)
             standing = settle(
-                standing,
-                mission,
-                ticket=release.ticket,
-                outcome=done,
-                used=release.reserved,
+                standing, mission, ticket=release.ticket, outcome=done, used=release.reserved
             )
     if standing.open or unclean:
         standing = advance(standing, Event.SUSPEND) or standing
@@ -61,7 +57,7 @@ def recover(act: Transaction, *, unclean: bool, parts: ManagementParts) -> tuple
 
 
 def _is_done(grant: Grant, act: Transaction, parts: ManagementParts) -> bool:
-    rid, state = parts.facts.robot.rid, parts.intake.state
+    rid, state = parts.facts.robot.rid, parts.inputs.state
     return bool(grant.done_when) and all(
         guard_finding(guard, state, rid, act.now) is None for guard in grant.done_when
     )

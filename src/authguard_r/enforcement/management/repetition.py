@@ -82,7 +82,7 @@ class Used(Struct, frozen=True, kw_only=True):
 
 def use_instance(act: Transaction, token: bytes, parts: ManagementParts) -> Used:
     """Return the mission of an instance, counted once against what its template allows."""
-    made, kept = parts.intake.verify_instance(token, act)
+    made, kept = parts.inputs.verify_instance(token, act)
     here = registered(act, made.mission.mission.mid, made.mission.digest)
     if here is not None and here.status is Status.ISSUED:
         return Used(made=made, kept=kept, is_counted=False)
@@ -102,14 +102,14 @@ def admit(
     act: Transaction, token: bytes, confirmation: bytes | None, *, parts: ManagementParts
 ) -> TemplateStanding:
     """Keep an authentic template that this robot could carry out, once."""
-    verified = parts.intake.verify_template(token, act)
+    verified = parts.inputs.verify_template(token, act)
     template = verified.template
     for finding in binding_findings(filled(template, next(combinations(template))), parts.facts):
         text = f"expected `{finding.got}`, got `{finding.expected}`"
         raise refuse(finding.reason, text, f"template.{finding.field}")
     if act.now.utc_ms > to_ms(template.not_after, where="template.not_after"):
         raise refuse(Reason.EXPIRED, f"it ended at {template.not_after}", "template.not_after")
-    known = parts.intake.kept_template(act, verified.digest)
+    known = parts.inputs.kept_template(act, verified.digest)
     if known is not None:
         reason = Reason.REVOKED if known.withdrawn else Reason.TRANSITION_REFUSED
         said = "was withdrawn" if known.withdrawn else "is here already"
@@ -136,7 +136,7 @@ def withdraw(act: Transaction, token: bytes, *, parts: ManagementParts) -> Templ
     if command.verb is not Verb.WITHDRAW:
         raise refuse(Reason.TRANSITION_REFUSED, f"no {command.verb} of a template", "command.verb")
     require_fresh(act, command)
-    kept = parts.intake.kept_template(act, command.mission)
+    kept = parts.inputs.kept_template(act, command.mission)
     if kept is None:
         raise refuse(Reason.MISSION_UNKNOWN, "no such template is here", "template")
     if not signer.scope.covers(parts.facts.robot.rid):
@@ -158,7 +158,7 @@ def withdraw(act: Transaction, token: bytes, *, parts: ManagementParts) -> Templ
     }
     act.record(entry(act, template.template, opened, {"command": command}))
     _revoke_active(act, command.mission)
-    parts.intake.forget()
+    parts.inputs.forget()
     return _standing(template, command.mission, gone)
 
 

@@ -59,7 +59,7 @@ def accept_store(act: Transaction, token: bytes, *, parts: ManagementParts) -> A
     if command.verb is not Verb.ACCEPT_STORE or command.accepts is None:
         raise refuse(Reason.TRANSITION_REFUSED, f"no {command.verb} of a store", "command.verb")
     require_fresh(act, command)
-    rid, anchor, claim = parts.facts.robot.rid, parts.intake.anchor, command.accepts
+    rid, anchor, claim = parts.facts.robot.rid, parts.inputs.anchor, command.accepts
     if str(command.mid) != rid:
         raise refuse(Reason.ROBOT_MISMATCH, f"expected an order about `{rid}`", "command.mid")
     if not signer.scope.covers(rid):
@@ -103,12 +103,12 @@ def _put_to_rest(act: Transaction, parts: ManagementParts) -> Standing | None:
     after = advance(standing, Event.SUSPEND) or standing
     if after.status is Status.CLOSING:
         after = advance(after, Event.REVOKE) or after
-    parts.intake.preapprovals.clear(act, after.mid)
+    parts.inputs.preapprovals.clear(act, after.mid)
     after = replace(after, requests={}, selected={}, preapproved={}, counter=after.counter + _LEAP)
     act.hold(after)
     if after.status in TERMINAL:
         act.make_active(None)
-        parts.intake.forget()
+        parts.inputs.forget()
     return after
 
 

@@ -254,7 +254,7 @@ def _over_ms(act: Transaction, mid: MissionId, parts: ManagementParts) -> int:
     standing = act.standing(mid)
     if known is not None or standing is None:
         return known or 0
-    return parts.intake.held(act, standing.digest).expiry_ms
+    return parts.inputs.held(act, standing.digest).expiry_ms
 
 
 def _ripe(act: Transaction, mid: MissionId, parts: ManagementParts) -> _Classes | None:
@@ -292,7 +292,7 @@ def _end(act: Transaction, mid: MissionId, parts: ManagementParts) -> bool:
     end_issued(act, parts, mid=mid)
     if act.active() == mid:
         act.make_active(None)
-        parts.intake.forget()
+        parts.inputs.forget()
     return True
 
 

@@ -89,7 +89,7 @@ class Certificates:
         return trust
 
 
-class Doorkeeper:
+class Authenticator:
     """Lets in only a caller who has shown all that is asked for.
 
     Args:

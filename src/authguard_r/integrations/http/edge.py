@@ -11,7 +11,7 @@ import time
 from typing import Any
 
 from authguard_r.core.reasons import Reason
-from authguard_r.integrations.http.clients import Doorkeeper
+from authguard_r.integrations.http.clients import Authenticator
 from authguard_r.integrations.http.faults import RequestError, of_fault
 from authguard_r.integrations.http_listener.access import App, Receive, Scope, Send
 from authguard_r.integrations.http_listener.admission import AdmissionLimits
@@ -44,10 +44,10 @@ class Edge:
     """
 
     def __init__(
-        self, app: App, doorkeeper: Doorkeeper, hosts: frozenset[bytes] | None, lines: Lines
+        self, app: App, authenticator: Authenticator, hosts: frozenset[bytes] | None, lines: Lines
     ) -> None:
         self._app = app
-        self._doorkeeper = doorkeeper
+        self._authenticator = authenticator
         self._hosts = hosts
         self._lines = lines
 
@@ -83,7 +83,7 @@ class Edge:
         if _values(scope, b"origin"):
             text = "pages in a browser are not served"
             raise RequestError(403, "ORIGIN_DENIED", text, where="origin")
-        who = self._doorkeeper.admit(scope)
+        who = self._authenticator.admit(scope)
         numbers = _values(scope, _REQUEST_ID)
         if len(numbers) > 1 or any(len(number) > MAX_ID for number in numbers):
             text = f"expected one of at most {MAX_ID} bytes"

@@ -20,7 +20,7 @@ from authguard_r.client.link import ProcessLog, require_folder
 from authguard_r.client.reconnecting import GatePlace
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.integrations.http.app import Endpoints, application
-from authguard_r.integrations.http.clients import Doorkeeper
+from authguard_r.integrations.http.clients import Authenticator
 from authguard_r.integrations.http.deciding import Decider
 from authguard_r.integrations.http.edge import LIMITS, Edge
 from authguard_r.integrations.http.gate_connection import AwayError, GateLink
@@ -29,7 +29,7 @@ from authguard_r.integrations.http.operations import operations_of
 from authguard_r.integrations.http.tls import Secured
 from authguard_r.integrations.http_listener.access import App
 from authguard_r.integrations.http_listener.connection import HttpConnection
-from authguard_r.integrations.http_listener.server import serve_until_told
+from authguard_r.integrations.http_listener.server import serve_until_signal
 from authguard_r.wire.disclosure import Disclosure
 from authguard_r.wire.json_log import Lines
 from authguard_r.wire.messages import ClientRole, Mode
@@ -50,7 +50,7 @@ class HttpSetup(Struct, frozen=True, kw_only=True):
     """
 
     where: GatePlace
-    doorkeeper: Doorkeeper
+    authenticator: Authenticator
     url: str
     hosts: frozenset[bytes] | None
     tls: SSL.Context | None
@@ -88,13 +88,13 @@ async def serve(setup: HttpSetup, made: socket.socket) -> None:
             disclosure=setup.disclosure,
         )
         app = _application(setup, decider, operator)
-        edge = Edge(app, setup.doorkeeper, setup.hosts, lines)
+        edge = Edge(app, setup.authenticator, setup.hosts, lines)
         lines.write({"event": "serving", "url": setup.url})
         if setup.tls is None:
-            await serve_until_told(edge, made, LIMITS, lines)
+            await serve_until_signal(edge, made, LIMITS, lines)
         else:
             make = partial(_secured, setup.tls)
-            await serve_until_told(edge, made, LIMITS, lines, make=make)
+            await serve_until_signal(edge, made, LIMITS, lines, make=make)
         lines.write({"event": "end"})
     finally:
         await asyncio.gather(*(link.close() for link in links))

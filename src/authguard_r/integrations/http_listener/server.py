@@ -17,7 +17,7 @@ from typing import Any
 
 import uvicorn
 
-from authguard_r.client.link import until_told
+from authguard_r.client.link import until_signal
 from authguard_r.integrations.http_listener.access import App
 from authguard_r.integrations.http_listener.admission import (
     AdmissionControl,
@@ -163,7 +163,7 @@ def _plain(_: HttpConnection, inner: Callable[[], asyncio.Protocol]) -> asyncio.
     return inner()
 
 
-async def serve_until_told(
+async def serve_until_signal(
     app: App,
     made: socket.socket,
     limits: AdmissionLimits,
@@ -215,4 +215,4 @@ async def serve_until_told(
         server.should_exit = True
         await serving
 
-    await until_told(work)
+    await until_signal(work)

@@ -13,7 +13,7 @@ from typing import Any
 from authguard_r.integrations.http_listener.access import App, Receive, Scope, Send, shows
 from authguard_r.integrations.http_listener.admission import AdmissionLimits
 from authguard_r.integrations.http_listener.connection import let_in
-from authguard_r.integrations.http_listener.server import serve_until_told
+from authguard_r.integrations.http_listener.server import serve_until_signal
 from authguard_r.integrations.mcp.front import Front
 from authguard_r.integrations.mcp.sessions import IDLE_S, SESSIONS, Sessions
 from authguard_r.integrations.mcp.unreadable import held_to_json
@@ -84,4 +84,4 @@ async def serve_http(front: Front, made: socket.socket, token: bytes) -> None:
         max_sessions=2 * SESSIONS,
     )
     judged = held_to_json(Sessions(app), LIMITS)
-    await serve_until_told(guarded(judged, token, lines), made, LIMITS, lines, has_lifespan=True)
+    await serve_until_signal(guarded(judged, token, lines), made, LIMITS, lines, has_lifespan=True)

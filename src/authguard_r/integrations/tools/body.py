@@ -132,7 +132,7 @@ class ToolBody:
         self._server = server
         self._means = means
         self._changed = changed
-        self._flight: ToolGoal | None = None
+        self._handle: ToolGoal | None = None
         self._is_told = False  # it had to move, and no answer says that it stands
         self._was_told = bool(means.stops)  # perhaps by an earlier process
         self._is_stopping = False
@@ -163,10 +163,10 @@ class ToolBody:
             call = self._means.rebuilder.rebuild(action)
         except MalformedError as error:
             raise ControllerError(error.message) from error
-        flight = self._flight = ToolGoal(self._means.site.vocabulary[action.type])
-        before, self._is_told = self._is_told, self._is_told or flight.moves
-        self._task = asyncio.ensure_future(self._carry(flight, call, ticket, before))
-        return flight
+        handle = self._handle = ToolGoal(self._means.site.vocabulary[action.type])
+        before, self._is_told = self._is_told, self._is_told or handle.moves
+        self._task = asyncio.ensure_future(self._carry(handle, call, ticket, before))
+        return handle
 
     def streams(self, action: Action) -> bool:  # noqa: ARG002 - no tool is one
         """Return False: a tool is called once and not steered."""
@@ -211,11 +211,11 @@ class ToolBody:
             self._ended(Outcome.UNKNOWN)
 
     def _runs(self) -> bool:
-        return self._flight is not None and self._flight.outcome() is None
+        return self._handle is not None and self._handle.outcome() is None
 
     async def _carry(
         self,
-        flight: ToolGoal,
+        handle: ToolGoal,
         call: Call,
         ticket: Digest,
         before: bool,  # noqa: FBT001
@@ -223,7 +223,7 @@ class ToolBody:
         """Make the call, and see to it that a robot that did not arrive stands.
 
         Args:
-            flight: it.
+            handle: it.
             call: what it is.
             ticket: of its release.
             before: the robot may have moved already.
@@ -240,13 +240,13 @@ class ToolBody:
             self._log.say("fault", "tools", tool=call.tool, message=type(error).__name__)
         else:
             told, outcome = answer.told, Outcome.SUCCEEDED if done else Outcome.FAILED
-            if flight.moves and (done or await self._stopped()):
+            if handle.moves and (done or await self._stopped()):
                 self._is_told = self._was_told = False
-            elif flight.moves and self._means.stops:
+            elif handle.moves and self._means.stops:
                 outcome = Outcome.UNKNOWN  # it may move still, wherever to
-        flight.end(outcome, told)
+        handle.end(outcome, told)
         self._changed()
-        if flight.moves and self._is_told and self._means.stops:
+        if handle.moves and self._is_told and self._means.stops:
             self._is_stopping = True  # it was not asked for: where it goes is unknown
             await self._stop()
 
@@ -264,8 +264,8 @@ class ToolBody:
         self._ended(Outcome.ABORTED if stands else Outcome.UNKNOWN)
 
     def _ended(self, outcome: Outcome) -> None:
-        if self._flight is not None:
-            self._flight.end(outcome)
+        if self._handle is not None:
+            self._handle.end(outcome)
         self._changed()
 
     async def _stopped(self) -> bool:

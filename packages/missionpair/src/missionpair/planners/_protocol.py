@@ -28,7 +28,7 @@ from missionpair.planners._sending import planner_error, send
 _ADDED = 1_000
 
 
-class SpokenClient:
+class MeteredClient:
     """A model behind a server of one protocol.
 
     Args:
@@ -145,13 +145,13 @@ class SpokenClient:
         )
 
 
-class OpenAIClient(SpokenClient):
+class OpenAIClient(MeteredClient):
     """A model behind a server of the chat completions protocol."""
 
     protocol = OpenAIProtocol()
 
 
-class AnthropicClient(SpokenClient):
+class AnthropicClient(MeteredClient):
     """A model behind a server of the Messages protocol."""
 
     protocol = AnthropicProtocol()

@@ -171,7 +171,7 @@ class RosBody:
         if stream is not None:
             stream.steer(message, _speed(action))
         self._means.releases.began(ticket, release)
-        return release.flight
+        return release.handle
 
     def streams(self, action: Action) -> bool:
         """Return True for velocities that run, and are published as they come."""

@@ -15,7 +15,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from msgspec import Struct
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from authguard_r.client.controller import ControllerDesk, MessageSource
+from authguard_r.client.controller import ControllerSession, MessageSource
 from authguard_r.integrations.ros.map import RosMap
 from authguard_r.integrations.ros.nodes.actions import Public
 from authguard_r.integrations.ros.nodes.body import RosBody
@@ -70,7 +70,7 @@ class Diagnostics:
         public: the node.
         ros: whose.
         body: the robot.
-        desk: the gate's connections.
+        session: the gate's connections.
         decisions: what is heard of the gate.
         kind: `authguard_interfaces/msg/GateStatus`.
     """
@@ -81,12 +81,12 @@ class Diagnostics:
         ros: RosMap,
         *,
         body: RosBody,
-        desk: ControllerDesk,
+        session: ControllerSession,
         decisions: Decisions,
         kind: Any,
     ) -> None:
         self._robot, self._kind = str(ros.robot), kind
-        self._body, self._desk, self._decisions = body, desk, decisions
+        self._body, self._session, self._decisions = body, session, decisions
         self._node, self._heartbeat = public.spinner.node, ros.heartbeat
         node, group = public.spinner.node, public.group
         last = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -105,17 +105,17 @@ class Diagnostics:
     async def _look(self) -> ReportedStatus:
         """Return how everything stands; what the gate does not say is as it said it last."""
         why = await self._decisions.ask()
-        body, desk, counts = self._body, self._desk, self._decisions.counts
+        body, session, counts = self._body, self._session, self._decisions.counts
         return ReportedStatus(
-            connected=desk.hears(MessageSource.GATE),
-            lane=desk.hears(MessageSource.STOP),
+            connected=session.hears(MessageSource.GATE),
+            lane=session.hears(MessageSource.STOP),
             answers=not why,
             why=why,
             mission_active=bool(counts.get("mission_active")),
             refusals=counts.get("decisions_total", {}).get("reject", 0),
             stops=counts.get("stops_total", 0),
             last_stop=self._decisions.last_stop,
-            stands=desk.stands and body.stands,
+            stands=session.stands and body.stands,
             braking=not body.stands,
             running=body.running,
             missing=body.missing,

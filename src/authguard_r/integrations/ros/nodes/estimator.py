@@ -24,7 +24,7 @@ from rclpy.node import Node
 from authguard_r.access.files import trusted_site
 from authguard_r.client.attesting import Attester, AttestingEnd, Measurement, aged
 from authguard_r.client.handshake import GateVerifier
-from authguard_r.client.link import ProcessLog, require_folder, run_all, until_told, wall_now
+from authguard_r.client.link import ProcessLog, require_folder, run_all, until_signal, wall_now
 from authguard_r.client.sensing import listen, read_raw
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.core.identifiers import Identifier, RobotId, VariableId
@@ -196,7 +196,7 @@ def main() -> None:
     given = asks.parse_args()
     try:
         place = _place(given)
-        asyncio.run(until_told(lambda until: attest(place, ProcessLog(), until)))
+        asyncio.run(until_signal(lambda until: attest(place, ProcessLog(), until)))
     except AuthGuardError as error:
         sys.exit(str(error))
 

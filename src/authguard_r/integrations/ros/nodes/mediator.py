@@ -171,7 +171,7 @@ class Mediator:
             else:
                 StreamServer(public, key, item, kind, self._binder)
         self._inlets = tuple(actions)
-        self._telling.serve(public, self.gate, body=self.body, desk=self.driver.desk)
+        self._telling.serve(public, self.gate, body=self.body, session=self.driver.session)
 
     async def settled(self, within_s: float) -> None:
         """Return once planners heard how each of their goals ended, or time is over."""

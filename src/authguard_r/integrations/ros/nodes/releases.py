@@ -36,7 +36,7 @@ class Release:
 
     def __init__(self, kind: ActionModel, key: str, name: str = "") -> None:
         self.key, self.name = key, name
-        self.flight = ToolGoal(kind)
+        self.handle = ToolGoal(kind)
         #: whether the robot's own server took it
         self.taken: asyncio.Future[bool] = asyncio.get_running_loop().create_future()
         self.feedback: asyncio.Queue[Any] = asyncio.Queue(MAX_FEEDBACK)
@@ -50,7 +50,7 @@ class Release:
     @property
     def runs(self) -> bool:
         """True until it has ended."""
-        return self.flight.outcome() is None
+        return self.handle.outcome() is None
 
     def take(self) -> None:
         """Note that the robot's server took it."""
@@ -73,7 +73,7 @@ class Release:
     def end(self, outcome: Outcome, told: ExecutionNews | None = None) -> None:
         """Note how it ended; the first word counts."""
         self._took(is_taken=False)
-        self.flight.end(outcome, told)
+        self.handle.end(outcome, told)
         self.over.set()
 
     def _took(self, *, is_taken: bool) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Coroutine
 from typing import Any
 
-from authguard_r.client.controller import ControllerDesk
+from authguard_r.client.controller import ControllerSession
 from authguard_r.client.reconnecting import GatePlace
 from authguard_r.integrations.ros.channels import require_channels
 from authguard_r.integrations.ros.map import RosMap
@@ -48,7 +48,7 @@ class StatusPublishers:
         self._shown = {key: load_type(one.type, TypePart.MESSAGE) for key, one in ros.shown.items()}
 
     def serve(
-        self, public: Public, place: GatePlace, *, body: RosBody, desk: ControllerDesk
+        self, public: Public, place: GatePlace, *, body: RosBody, session: ControllerSession
     ) -> None:
         """Make what planners and displays see; on the thread of ROS.
 
@@ -56,12 +56,12 @@ class StatusPublishers:
             public: the node.
             place: which gate.
             body: the robot.
-            desk: the gate's connections.
+            session: the gate's connections.
         """
         ros = self._ros
         decisions = Decisions(public, place, ros.decisions, self._decision)
         diagnostics = Diagnostics(
-            public, ros, body=body, desk=desk, decisions=decisions, kind=self._status
+            public, ros, body=body, session=session, decisions=decisions, kind=self._status
         )
         work: list[Callable[[], Coroutine[Any, Any, None]]] = [
             decisions.stay,

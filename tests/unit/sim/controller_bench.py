@@ -7,8 +7,8 @@ from typing import Any
 
 import msgspec
 
-from authguard_r.client.controller import ControllerDesk, MessageSource, OutgoingMessage
-from authguard_r.client.handshake import Greeting
+from authguard_r.client.controller import ControllerSession, MessageSource, OutgoingMessage
+from authguard_r.client.handshake import Handshake
 from authguard_r.client.proof import Proven, prove
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag, b64
@@ -39,8 +39,8 @@ BRAKE_MM_S2 = 500
 NONCE = b64(bytes(range(32)))
 
 
-def greeting(role: ClientRole = ClientRole.CONTROLLER) -> Greeting:
-    return Greeting(
+def handshake(role: ClientRole = ClientRole.CONTROLLER) -> Handshake:
+    return Handshake(
         role=role,
         client="controller-courier-1",
         verifier=read_trust(scenarios.trust_folder()),
@@ -71,7 +71,7 @@ def welcome(by: str | None = f"gate-{scenarios.RID}", **changes: Any) -> Frame:
 
 
 def proven() -> Proven:
-    return prove(welcome(), greeting(), nonce=NONCE, now=scenarios.NOW)
+    return prove(welcome(), handshake(), nonce=NONCE, now=scenarios.NOW)
 
 
 #: The start of the controller on a bench.
@@ -123,16 +123,16 @@ class Bench:
             faults=faults or Faults(),
         )
         self.now_ms = 5_000
-        self.desk = ControllerDesk(SymbolicBody(self.robot), life=LIFE, now_ms=self.now_ms)
+        self.session = ControllerSession(SymbolicBody(self.robot), life=LIFE, now_ms=self.now_ms)
         self.sent: list[OutgoingMessage] = []
         for channel in opened:
             self.open(channel)
 
     def open(self, channel: MessageSource = MessageSource.GATE) -> None:
-        self.sent += self.desk.opened(channel, proven(), self.now_ms)
+        self.sent += self.session.opened(channel, proven(), self.now_ms)
 
     def close(self, channel: MessageSource = MessageSource.GATE) -> None:
-        self.sent += self.desk.closed(channel, self.now_ms)
+        self.sent += self.session.closed(channel, self.now_ms)
 
     def say(
         self,
@@ -141,7 +141,7 @@ class Bench:
         channel: MessageSource = MessageSource.GATE,
         number: int = 0,
     ) -> list[OutgoingMessage]:
-        got = self.desk.handle(channel, framed(kind, message, number), self.now_ms)
+        got = self.session.handle(channel, framed(kind, message, number), self.now_ms)
         self.sent += got
         return list(got)
 
@@ -154,7 +154,7 @@ class Bench:
             "max_ms": 600_000,
             "renew_within_ms": 300,
             "life": LIFE,
-            "stops": self.desk.stops,
+            "stops": self.session.stops,
         }
         channel = changes.pop("channel", MessageSource.GATE)
         return self.say(Kind.DISPATCH, Dispatch(**{**order, **changes}), channel, 77)
@@ -180,7 +180,7 @@ class Bench:
             self.now_ms = min(until, self.now_ms + every_ms)
             if renewing is not None:
                 self.renew(renewing)
-            self.sent += self.desk.tick(self.now_ms)
+            self.sent += self.session.tick(self.now_ms)
 
     @property
     def place(self) -> tuple[int, int]:
