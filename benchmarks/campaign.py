@@ -24,7 +24,7 @@ from typing import Any
 import machine
 from missionpair.campaign.log import read_log
 from missionpair.campaign.run import CampaignPlan, run
-from missionpair.carrying import through_the_gate
+from missionpair.execution import through_the_gate
 from missionpair.pair import plan_bytes
 from missionpair.records import Timing
 from missionpair.stage import Yard

@@ -24,11 +24,12 @@ sys.path[:0] = [str(ROOT / "tests")]
 from authguard_r.audit.checkpoint import origin_of  # noqa: E402
 from authguard_r.audit.note import Note, NoteKey, NoteSignature  # noqa: E402
 from authguard_r.audit.record import LogRow  # noqa: E402
-from authguard_r.audit.tree import EMPTY_ROOT, MemoryTree, consistency_proof, leaf_hash, root_of  # noqa: E402
+from authguard_r.audit.tree import EMPTY_ROOT, consistency_proof, leaf_hash, root_of  # noqa: E402
 from authguard_r.auditor.export_format import note_line, row_line  # noqa: E402
 from authguard_r.core.identifiers import RobotId  # noqa: E402
 from authguard_r.keys.notes import cosign, log_key, witness_key  # noqa: E402
 from fixtures.inclusion import inclusion_proof  # noqa: E402
+from fixtures.memory_tree import MemoryTree  # noqa: E402
 from fixtures.small_logs import ROBOT, checkpoint_of, edited, log_of, rechained  # noqa: E402
 
 Json = dict[str, Any]

@@ -21,12 +21,13 @@ from hypothesis import strategies as st
 
 from authguard_r.audit.checkpoint import read_checkpoint
 from authguard_r.audit.note import encode64, read_key, read_note
-from authguard_r.audit.tree import Frontier, MemoryTree, leaf_hash, root_of, verify_consistency
+from authguard_r.audit.tree import Frontier, leaf_hash, root_of, verify_consistency
 from authguard_r.cli import call
 from authguard_r.core.errors import AuthGuardError, MalformedError
 from authguard_r.keys.notes import verify_note
 from fixtures import scenarios
 from fixtures.inclusion import verify_inclusion
+from fixtures.memory_tree import MemoryTree
 
 Json = dict[str, Any]
 VECTORS: Json = json.loads((scenarios.ROOT / "vectors" / "log.json").read_text())

@@ -24,7 +24,6 @@ from authguard_r.audit.checkpoint import Checkpoint, read_checkpoint
 from authguard_r.audit.note import Note, NoteSignature, read_note
 from authguard_r.audit.record import Entry
 from authguard_r.audit.tree import (
-    MemoryTree,
     consistency_proof,
     leaf_hash,
     root_of,
@@ -40,6 +39,7 @@ from authguard_r.operations.simulation import Simulation
 from authguard_r.store.memory import MemoryStore
 from fixtures import scenarios
 from fixtures.inclusion import inclusion_proof, verify_inclusion
+from fixtures.memory_tree import MemoryTree
 from fixtures.restarting_gate import copied
 from fixtures.small_witness import ORIGIN, begin, log_keys
 

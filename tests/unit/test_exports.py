@@ -30,6 +30,8 @@ FRAMEWORKS = ("inspect", "langchain", "openai_agents", "pydantic_ai")
 #: Folders of plugins, which are loaded by name.
 PLUGINS = {"attackers", "defenses", "domains", "planners", "suites"}
 BLOCK = re.compile(r"```python\n(.*?)```", re.DOTALL)
+#: A program that a shell block writes or runs.
+HEREDOC = re.compile(r"(?:\.py|python -) <<'?(\w+)'?\n(.*?)\n\1\n", re.DOTALL)
 
 
 def named(part: str) -> list[str]:
@@ -48,15 +50,16 @@ def imports(text: str) -> Iterator[tuple[str, str]]:
 
 
 def programs() -> Iterator[tuple[Path, str]]:
-    """Yield every example, and every Python block of a page for users."""
+    """Yield every example, and every Python program of a page for users."""
     for path in sorted((ROOT / "examples").rglob("*.py")):
         yield path, path.read_text(encoding="utf-8")
     pages = [ROOT / "README.md", ROOT / "packages" / "missionpair" / "README.md"]
     for folder in ("howto", "reference", "tutorial"):
         pages += sorted((ROOT / "docs" / folder).rglob("*.md"))
     for path in pages:
-        for block in BLOCK.findall(path.read_text(encoding="utf-8")):
-            yield path, block
+        text = path.read_text(encoding="utf-8")
+        yield from ((path, block) for block in BLOCK.findall(text))
+        yield from ((path, block) for _, block in HEREDOC.findall(text))
 
 
 def is_public(module: str, name: str) -> bool:

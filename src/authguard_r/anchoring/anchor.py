@@ -108,7 +108,7 @@ class StoreAnchor:
         counter: outside of the store; None when there is none, and then nothing is compared.
         signer: the gate's own key; needed with a counter.
         reading: what the counter held before the store was touched.
-        notary: makes the log's checkpoints and has them witnessed; None makes none.
+        scheduler: makes the log's checkpoints and has them witnessed; None makes none.
     """
 
     def __init__(
@@ -131,7 +131,7 @@ class StoreAnchor:
         self._store, self._known, self._place = ledger.peek(self._look)
         self._opened = self._place.size
         self._number = max(self.number, self._known or 0)
-        self._notary = scheduler
+        self._scheduler = scheduler
         why = ledger.peek(lambda turn: self._compare(turn, reading))
         size = None if self._counted is None else self._counted.size
         self._doubt = None if why is None else Doubt(why, BY_COUNTER, size)
@@ -154,9 +154,9 @@ class StoreAnchor:
         A place that cannot be reached is reported when it is needed: only a step that cannot be
         undone waits for it.
         """
-        if self._doubt is None and self._notary is not None:
+        if self._doubt is None and self._scheduler is not None:
             with suppress(AuthGuardError):
-                self._doubt = self._notary.begin()
+                self._doubt = self._scheduler.begin()
         if self._doubt is not None:
             self._record(self._doubt)
         elif self._outside is not None:
@@ -169,24 +169,24 @@ class StoreAnchor:
 
         For the one thread that holds the store, between its turns.
         """
-        if self._notary is None or self._doubt is not None:
+        if self._scheduler is None or self._doubt is not None:
             return ()
         try:
-            self._doubt = self._notary.tick()
+            self._doubt = self._scheduler.tick()
             if self._doubt is not None:
                 self._record(self._doubt)
                 return self.put_back()
-            began = self._notary.silence()
+            began = self._scheduler.silence()
         except AuthGuardError:
             return ()  # the store cannot be written: nothing is released, and an alert is raised
         if began is None:
             return ()
-        return (AnchorNotice(SILENT, {"records": self._notary.unwitnessed}, over=not began),)
+        return (AnchorNotice(SILENT, {"records": self._scheduler.unwitnessed}, over=not began),)
 
     def end(self) -> None:
         """Make a last checkpoint, show it to the witnesses, and count, if that can be done."""
-        if self._doubt is None and self._notary is not None:
-            self._notary.end()
+        if self._doubt is None and self._scheduler is not None:
+            self._scheduler.end()
         with suppress(AuthGuardError):
             self.count()
 
@@ -231,8 +231,8 @@ class StoreAnchor:
             EnvironmentFault: too few witnesses have confirmed this store since the start, or the
                 counter cannot be written; nothing was consumed.
         """
-        if irreversible and self._notary is not None:
-            self._notary.require()
+        if irreversible and self._scheduler is not None:
+            self._scheduler.require()
         if irreversible and self._outside is not None:
             with self._lock:
                 self._write(*self._outside)
@@ -245,8 +245,8 @@ class StoreAnchor:
         """
         try:
             if irreversible:
-                if self._notary is not None:
-                    self._notary.make()
+                if self._scheduler is not None:
+                    self._scheduler.make()
                 self.count()
         except AuthGuardError as error:
             return (fault_finding(error),)
@@ -260,8 +260,8 @@ class StoreAnchor:
         """
         doubt, self._doubt = self._doubt, None
         try:
-            if doubt is not None and self._notary is not None:
-                self._notary.accepted(doubt.why)
+            if doubt is not None and self._scheduler is not None:
+                self._scheduler.accepted(doubt.why)
             self.count()
             self._know()
         except BaseException:
@@ -279,7 +279,7 @@ class StoreAnchor:
             "state": state if doubt is None else "put_back",
             "store": self._store,
             "number": self._number if doubt is None else self.number,
-            **({} if self._notary is None else self._notary.shown()),
+            **({} if self._scheduler is None else self._scheduler.shown()),
         }
         if doubt is None:
             return told

@@ -144,32 +144,6 @@ def verify_consistency(
     return last == 0 and (before, after) == (old_root, root)
 
 
-class MemoryTree:
-    """A tree with all its nodes in memory: for a verifier that reads a log once."""
-
-    def __init__(self) -> None:
-        self._levels: list[list[bytes]] = [[]]
-
-    @property
-    def size(self) -> int:
-        """Number of leaves."""
-        return len(self._levels[0])
-
-    def append(self, leaf: bytes) -> None:
-        """Add a leaf, given by its hash."""
-        self._levels[0].append(leaf)
-        level = 0
-        while len(self._levels[level]) % 2 == 0:
-            if level + 1 == len(self._levels):
-                self._levels.append([])
-            self._levels[level + 1].append(node_hash(*self._levels[level][-2:]))
-            level += 1
-
-    def node(self, level: int, index: int) -> bytes:
-        """Return a complete subtree's root (`Nodes`)."""
-        return self._levels[level][index]
-
-
 def split_of(count: int) -> int:
     """Return the largest power of two that is smaller than `count`, which is 2 or more."""
     return 1 << (count - 1).bit_length() - 1

@@ -90,7 +90,7 @@ class Body(Protocol):
 
     @property
     def stands(self) -> bool:
-        """It does not move, as far as is known; without an action that it was given."""
+        """True when no motion is known, apart from that of its actions."""
         ...
 
     def has_room(self, action: Action) -> bool:

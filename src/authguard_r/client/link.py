@@ -55,7 +55,7 @@ class ProcessLog:
     def say(self, event: str, channel: str, **more: str) -> None:
         """Write a line, unless it would say of its channel what the line before said.
 
-        Nothing fails for it: a reader that is gone must not end who stops a robot.
+        A write error is ignored: a reader that is gone must not end a process that stops a robot.
         """
         said = (event, str(sorted(more.items())))
         if self._last.get(channel) == said:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The emergency path: judge, second gate, write down, dispatch, watch, write down how it ended.
 
-It is narrower than the enforcer's: nothing comes down it that a safety officer did not sign whole.
+It is narrower than the enforcer's: it carries out only what a safety officer signed as a whole.
 Nothing is dispatched before it is on disk, in the log or, where the capability says so, in the
 emergency journal. It reads no mission and changes none.
 Spec page: docs/spec/emergency.md#the-road

@@ -109,7 +109,7 @@ class LeaseMonitor:
         return self._inputs.anchor.covered(irreversible=irreversible) or self.look(lease)
 
     def look(self, lease: Lease) -> Findings:
-        """Ask the lease's conditions on new state; not being able to ask is a reason to stop."""
+        """Check the lease's conditions on new state; a check that fails is a reason to stop."""
         try:
             self._inputs.refresh()
             state, now = self._inputs.newest, self._ledger.now()
@@ -243,16 +243,16 @@ class ExecutionMonitor:
         return (_said(why),) if why else ()
 
     def _ended(self, outcome: Outcome) -> ExecutionResult:
-        return self._landed(outcome, self._findings or self._doubts())
+        return self._finished(outcome, self._findings or self._doubts())
 
     def _lost(self) -> ExecutionResult:
         """Report an unknown outcome: the robot did not confirm that it stands."""
         silent = Finding(
             "controller", Reason.CONTROLLER_FAILED, "a robot that stands", "no answer to a stop"
         )
-        return self._landed(Outcome.UNKNOWN, (*self._findings, silent))
+        return self._finished(Outcome.UNKNOWN, (*self._findings, silent))
 
-    def _landed(self, outcome: Outcome, findings: Findings) -> ExecutionResult:
+    def _finished(self, outcome: Outcome, findings: Findings) -> ExecutionResult:
         told = self._told_ms
         stood = None if told is None else self._watch.mono_ms() - told
         return ExecutionResult(outcome=outcome, findings=findings, stood_ms=stood)

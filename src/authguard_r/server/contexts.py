@@ -58,7 +58,7 @@ class PlannerContexts:
         self._known[client.name] = fresh
 
     def of(self, client: ServedClient) -> ContextLedger:
-        """Return what the client's planner saw; what could not be noted may have been anything."""
+        """Return what the client's planner saw; an input that was not noted counts as anything."""
         unheard = not self._unheard.isdisjoint((client.name, f"u{client.uid}."))
         return self._known.get(client.name, self._anything if unheard else self._nothing)
 

@@ -74,7 +74,7 @@ class EmergencyCalls:
     """The emergency path's clients.
 
     Args:
-        rescue: carries emergencies out.
+        path: carries emergencies out.
         enforcer: refuses proposals while an emergency is under way.
         leases: what moves; emergencies are watched there, too.
         controller: the controller's end; None where nothing is connected to anything.
@@ -86,7 +86,7 @@ class EmergencyCalls:
 
     def __init__(
         self,
-        watch_emergency: EmergencyEnforcer,
+        path: EmergencyEnforcer,
         *,
         enforcer: Enforcer,
         leases: LeaseRegistry,
@@ -96,7 +96,7 @@ class EmergencyCalls:
         state_wait_ms: int,
         closing: Callable[[], bool],
     ) -> None:
-        self._rescue = watch_emergency
+        self._path = path
         self._enforcer = enforcer
         self._leases = leases
         self._controller = controller
@@ -115,7 +115,7 @@ class EmergencyCalls:
 
     def shown(self) -> dict[str, Any]:
         """Return what `status` says of emergencies."""
-        policy = self._rescue.opened.policy
+        policy = self._path.opened.policy
         waiting = None if self._waiting is None else self._waiting.asked
         asked = self._running or waiting
         return {
@@ -123,7 +123,7 @@ class EmergencyCalls:
             "version": policy.version,
             "expiry": policy.expiry,
             "under_way": None if asked is None else asked.capability,
-            "unknown": list(self._rescue.log.unknown),
+            "unknown": list(self._path.log.unknown),
         }
 
     def call(self, client: ServedClient, number: int, asked: Emergency) -> None:
@@ -155,10 +155,10 @@ class EmergencyCalls:
 
     def look(self) -> None:
         """Go on with what waits, and call what the gate calls by itself."""
-        now_ms = self._rescue.watch.mono_ms()
+        now_ms = self._path.watch.mono_ms()
         if now_ms - self._flushed_ms >= LIMITS.emergency_flush_ms:
             self._flushed_ms = now_ms
-            self._rescue.log.flush()
+            self._path.log.flush()
         if self._waiting is not None:
             self._go_on(self._waiting, now_ms)
         elif self._running is None and not self._closing():
@@ -167,7 +167,7 @@ class EmergencyCalls:
     # one call
 
     def _judge(self, asked: _CallListener) -> None:
-        call = self._rescue.judge(asked.capability, asked.caller, asked.name)
+        call = self._path.judge(asked.capability, asked.caller, asked.name)
         if not call.released:
             self._refuse(asked, call, call.decision.findings)
         elif self._running is not None or self._waiting is not None:
@@ -177,11 +177,11 @@ class EmergencyCalls:
             self._refuse(asked, call, hindered, is_false=False)
         else:
             self._enforcer.require(self._require_over)
-            until_ms = self._rescue.watch.mono_ms() + self._rescue.watch.stand_within_ms
+            until_ms = self._path.watch.mono_ms() + self._path.watch.stand_within_ms
             self._waiting = _PendingCall(asked, until_ms)
             if self._leases:
-                self._rescue.watch.controller.stop()
-            self._go_on(self._waiting, self._rescue.watch.mono_ms())
+                self._path.watch.controller.stop()
+            self._go_on(self._waiting, self._path.watch.mono_ms())
 
     def _go_on(self, waiting: _PendingCall, now_ms: int) -> None:
         """Begin once the robot stands, no stop is unexplained and newer state shows that it may.
@@ -196,8 +196,8 @@ class EmergencyCalls:
             waiting = _PendingCall(waiting.asked, now_ms + self._state_wait_ms, stands=True)
         self._waiting = None
         asked = waiting.asked
-        self._rescue.log.flush()  # what ended before is in the log before the fence is asked
-        call = self._rescue.judge(asked.capability, asked.caller, asked.name, stands=True)
+        self._path.log.flush()  # what ended before is in the log before the fence is asked
+        call = self._path.judge(asked.capability, asked.caller, asked.name, stands=True)
         moves = Finding("controller", Reason.BUSY, "a robot that stands", "one that moves")
         if hindered := (moves,) if self._leases else self._hindered(begins=True):
             self._refuse(asked, call, hindered, is_false=False)
@@ -225,7 +225,7 @@ class EmergencyCalls:
 
     def _begin(self, asked: _CallListener, call: JudgedEmergency) -> None:
         told = {"capability": call.name, "by": call.by, "caller": str(call.caller)}
-        begun = self._rescue.begin(call)
+        begun = self._path.begin(call)
         if isinstance(begun, EmergencyExecution):
             self._running = asked
             self._leases.watch_emergency(begun, partial(self._ended, asked))
@@ -253,7 +253,7 @@ class EmergencyCalls:
         is_false: bool = True,
     ) -> None:
         """Record a refused call, count a planner's false one, and answer."""
-        self._rescue.refuse(call, findings)
+        self._path.refuse(call, findings)
         if is_false and asked.caller is Caller.PLANNER:
             self._count(asked, call, findings)
         asked.tell(emergency_json(EmergencyReport(call=call, reasons=findings)))
@@ -292,8 +292,8 @@ class EmergencyCalls:
         What came to nothing is called again while they hold. Nothing is called, and so nothing is
         stopped, for guards that hold on state from before the last motion alone.
         """
-        for name in self._rescue.of_gate():
-            call = self._rescue.judge(name, Caller.GATE, _GATE)
+        for name in self._path.of_gate():
+            call = self._path.judge(name, Caller.GATE, _GATE)
             if not call.released:
                 self._met.discard(name)
                 if name in self._failed:  # what begins next is called at once
@@ -306,11 +306,11 @@ class EmergencyCalls:
                 return
 
     def _is_due(self, name: Identifier, now_ms: int) -> bool:
-        """True when a capability could be begun, and was not called in vain a moment ago."""
+        """True when a capability can begin, and a call of it did not fail a moment ago."""
         failed = self._failed.get(name)
         if self._hindered() or (failed and now_ms - failed.at_ms < failed.again_ms):
             return False
-        return not self._rescue.judge(name, Caller.GATE, _GATE, stands=True).is_early
+        return not self._path.judge(name, Caller.GATE, _GATE, stands=True).is_early
 
     def _answered(self, name: Identifier, answer: dict[str, Any]) -> None:
         """Let a call of the gate's own be made again when nothing came of it."""
@@ -323,7 +323,7 @@ class EmergencyCalls:
         else:
             return
         self._met.discard(name)
-        self._failed[name] = _Failed(self._rescue.watch.mono_ms(), again_ms)
+        self._failed[name] = _Failed(self._path.watch.mono_ms(), again_ms)
 
     def _require_over(self) -> None:
         """Refuse proposals while an emergency is under way.

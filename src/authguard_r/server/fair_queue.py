@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A client as the gate sees it, and the order in which clients are served.
 
-One request of one client at a time, in turn: a client that sends much waits for itself, not others
-for it. What is too much is shed by its header, before a byte of its body is parsed. Spec page:
-docs/spec/gate-protocol.md#turns
+One request of one client at a time, in turn: a client that sends much delays only
+itself. The gate drops excess frames by their header, before it parses a byte of their body.
+Spec page: docs/spec/gate-protocol.md#turns
 """
 
 from __future__ import annotations

@@ -145,7 +145,7 @@ def open_parts(files: GateFiles) -> GateParts:
             read_file(files.config), verifier=trust, now=now, robot=files.robot
         ),
         store=files.store,
-        lane=None if files.simulate else stop_process,
+        estop=None if files.simulate else stop_process,
         journal=STDERR,
         demo=files.demo,
         key=files.key,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who has not been heard of, and who gets nowhere: alerts, which change no authority.
+"""Alerts for silent clients and planners without progress; they change no authority.
 
 False warnings and endless replanning stop a robot as surely as an attack on its motors does; the
 gate cannot make a planner useful, but it can raise an alert. Source: the liveness question of

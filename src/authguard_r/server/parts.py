@@ -46,7 +46,7 @@ class GateParts(Struct, frozen=True, kw_only=True):
         safety: the second gate's configuration.
         config: the gate's own.
         store: the store's file.
-        lane: what the stop process is started with; None without one: a robot in this process.
+        estop: what the stop process is started with; None without one: a robot in this process.
         journal: the file descriptor of the structured log.
         demo: a root that says `demo` will do.
         key: the file of the gate's own key, which is held against a second gate.
@@ -64,7 +64,7 @@ class GateParts(Struct, frozen=True, kw_only=True):
     safety: SafetyConfig
     config: GateConfig
     store: Path
-    lane: EStopFiles | None
+    estop: EStopFiles | None
     journal: int
     demo: bool
     key: Path | None = None

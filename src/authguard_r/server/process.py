@@ -95,7 +95,7 @@ def run_gate(parts: GateParts, ready: Callable[[Rendezvous], None]) -> None:
         inbox, safety = StateInbox(), gate_of(parts.safety, asked_ms=LIMITS.safety_ms)
         store = open_store(parts.store, reserve_bytes=parts.config.reserve_bytes)
         opened = _open_store(parts, store, inbox)
-        recorder = None if parts.lane is None else EStopSupervisor(parts.lane)
+        recorder = None if parts.estop is None else EStopSupervisor(parts.estop)
         bounds = _stream_bounds(parts, opened)
         remote = _remote(parts, opened, recorder, bounds)
         gate = _join(parts, opened, safety, _controller(parts, remote))
@@ -119,7 +119,7 @@ def run_gate(parts: GateParts, ready: Callable[[Rendezvous], None]) -> None:
                 rotation=_rotation(parts, gate, store),
                 emergency=_emergency(parts, gate, held),
                 free_bytes=partial(_free_bytes, parts.store.absolute().parent),
-                lane_alive=None if recorder is None else partial(_is_alive, recorder),
+                stop_process_alive=None if recorder is None else partial(_is_alive, recorder),
             )
         )
         service.begin()

@@ -44,7 +44,7 @@ class GateQueries:
         liveness: who was heard of, and the alerts.
         clients: who is connected.
         free_bytes: returns what the store's disk has left; None where there is no disk.
-        lane_alive: returns whether the stop process serves and answers; None where there is none.
+        stop_process_alive: returns whether the stop process answers; None where there is none.
         emergency: returns what `status` shows of emergencies; None without a signed policy.
     """
 
@@ -58,7 +58,7 @@ class GateQueries:
         liveness: Liveness,
         clients: Callable[[], Iterable[ServedClient]],
         free_bytes: Callable[[], int] | None,
-        lane_alive: Callable[[], bool] | None,
+        stop_process_alive: Callable[[], bool] | None,
         emergency: Callable[[], dict[str, Any]] | None,
     ) -> None:
         self._gate = gate
@@ -71,7 +71,7 @@ class GateQueries:
         self.counted: Counter[str] = Counter()
         self.stops = 0
         self._free_bytes = free_bytes
-        self._lane_alive = lane_alive
+        self._estop_alive = stop_process_alive
         self._emergency = emergency
 
     @property
@@ -136,7 +136,7 @@ class GateQueries:
             "log": {"size": size, "head": b64(head), "mission": ledger.peek(_written)},
             "refusals": {"shed": self.counted["shed"], "requests": self.counted["refused"]},
             "disk": self._disk(),
-            "lane": None if self._lane_alive is None else {"alive": self._lane_alive()},
+            "lane": None if self._estop_alive is None else {"alive": self._estop_alive()},
             "anchor": self._gate.anchor.shown(),
         }
 
@@ -163,7 +163,7 @@ class GateQueries:
             "log_records": self._gate.ledger.peek(lambda turn: turn.head())[0],
             "uptime_seconds": self.uptime_ms // 1_000,
             **({} if disk is None else {f"disk_{name}": n for name, n in disk.items()}),
-            **({} if self._lane_alive is None else {"lane_alive": int(self._lane_alive())}),
+            **({} if self._estop_alive is None else {"lane_alive": int(self._estop_alive())}),
         }
 
     def records(self, first: int, count: int) -> list[dict[str, Any]]:

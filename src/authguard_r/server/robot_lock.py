@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One gate for one robot: two gates that both hold it would each spend what is left.
+"""One gate for one robot: two gates would each use the remaining budget.
 
 Held are things that no other user can take first: an abstract Unix socket's name that cannot be
 foreseen and that says whose gate it is, the run folder's lock, the key's own file, and a lock of

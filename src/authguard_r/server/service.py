@@ -122,7 +122,7 @@ class Service:
             liveness=self.liveness,
             clients=lambda: self._clients,
             free_bytes=self._parts.free_bytes,
-            lane_alive=self._parts.lane_alive,
+            stop_process_alive=self._parts.stop_process_alive,
             emergency=None if self.emergencies is None else self.emergencies.shown,
         )
 
@@ -240,7 +240,7 @@ class Service:
         self.events.client(client, here=False)
 
     def refused(self, name: Identifier, error: AuthGuardError) -> None:
-        """Record a request, or a connection, that was refused before it was anything."""
+        """Record a request, or a connection, that was refused before it was read."""
         self.queries.counted["refused"] += 1
         made, dedup_key = (
             partial(refusal_entry, error, client=name),

@@ -41,7 +41,7 @@ class ServiceParts(Struct, frozen=True, kw_only=True):
         rotation: moves the oldest records out of the store; None where there is no file.
         emergency: carries out emergencies; None without a signed policy.
         free_bytes: returns what the store's disk has left; None where there is no disk.
-        lane_alive: returns whether the stop process serves and answers; None where there is none.
+        stop_process_alive: returns whether the stop process answers; None where there is none.
     """
 
     gate: Gate
@@ -59,4 +59,4 @@ class ServiceParts(Struct, frozen=True, kw_only=True):
     rotation: Rotation | None = None
     emergency: EmergencyEnforcer | None = None
     free_bytes: Callable[[], int] | None = None
-    lane_alive: Callable[[], bool] | None = None
+    stop_process_alive: Callable[[], bool] | None = None

@@ -69,7 +69,7 @@ class ServerSession(asyncio.BufferedProtocol):
     """One connection (`fair_queue.ClientLine`).
 
     Args:
-        hall: the service.
+        host: the service.
         later: `loop.call_later`.
     """
 
@@ -78,7 +78,7 @@ class ServerSession(asyncio.BufferedProtocol):
         host: ConnectionHost,
         later: Callable[[float, Callable[[], None]], asyncio.TimerHandle],
     ) -> None:
-        self._hall = host
+        self._host = host
         self._later = later
         self._buffer = bytearray(LIMITS.chunk_bytes)
         self._reader = FrameReader(opening_bound)
@@ -101,7 +101,7 @@ class ServerSession(asyncio.BufferedProtocol):
             sock = transport.get_extra_info("socket")
             peer = peer_of(cast("Socket", sock))
             self.uid, self.name = peer.uid, Identifier(f"u{peer.uid}")
-            if self._hall.count(peer.uid) > self._hall.config.connections:
+            if self._host.count(peer.uid) > self._host.config.connections:
                 raise EnvironmentFault(
                     "too many connections of this user", reason=Reason.BUSY, where="connection"
                 )
@@ -141,12 +141,12 @@ class ServerSession(asyncio.BufferedProtocol):
         """Forget the client; half of a message is the last that the log says of it."""
         if self._reader.unfinished and not self._over:
             why = MalformedError("the connection ended within a message", where="frame")
-            self._hall.refused(self.name, why)
+            self._host.refused(self.name, why)
         self._end()
         if self.client is not None:
             self.client.clogged = False
-            self._hall.reads(self.client)  # nothing waits for a reader any more
-        self._hall.left(self, self.client)
+            self._host.reads(self.client)  # nothing waits for a reader any more
+        self._host.left(self, self.client)
 
     def pause_writing(self) -> None:
         """Give a client that does not read a little time to do so; it is not served meanwhile."""
@@ -162,7 +162,7 @@ class ServerSession(asyncio.BufferedProtocol):
             return
         self._cancel()
         self.client.clogged = False
-        self._hall.reads(self.client)
+        self._host.reads(self.client)
 
     # Line
 
@@ -189,13 +189,13 @@ class ServerSession(asyncio.BufferedProtocol):
     def drop(self, why: str) -> None:
         """Close at once and record why."""
         fault = EnvironmentFault(why, reason=Reason.BUSY, where="connection")
-        self._hall.refused(self.name, fault)
+        self._host.refused(self.name, fault)
         self._end()
         if self._transport is not None:
             self._transport.abort()
 
     def end(self) -> None:
-        """Send what waits, then close; who does not take it within the time to read loses it."""
+        """Send what waits, then close; a client that reads too slowly loses the rest."""
         self._end()
         if self._transport is not None:
             self._transport.close()
@@ -207,7 +207,7 @@ class ServerSession(asyncio.BufferedProtocol):
         if self.client is None:
             self._hello(item)
         else:
-            self._hall.came(self.client, item, alone=not self._reader.unfinished)
+            self._host.came(self.client, item, alone=not self._reader.unfinished)
 
     def _hello(self, item: Frame) -> None:
         """Take the first message; anything wrong with it ends the connection."""
@@ -217,21 +217,21 @@ class ServerSession(asyncio.BufferedProtocol):
                 f"expected the protocol `{PROTOCOL}`, got `{hello.protocol}`",
                 where="hello.protocol",
             )
-        role = client_role(self._hall.config, self.uid, hello.role)
+        role = client_role(self._host.config, self.uid, hello.role)
         name = f"u{self.uid}.{hello.client}"
         if not is_identifier(name):
             raise MalformedError("expected a shorter name", where="hello.client")
         client = ServedClient(self, role=role, name=Identifier(name), uid=self.uid)
-        self._hall.entered(client)
+        self._host.entered(client)
         self._cancel()
         self.client, self.name = client, client.name
         bounds = request_bound(role)
         self._reader.bound = lambda kind: bounds.get(kind, 0)
-        self.write(frame(Kind.WELCOME, item.id, self._hall.welcome(hello)))
+        self.write(frame(Kind.WELCOME, item.id, self._host.welcome(hello)))
 
     def _refuse(self, error: AuthGuardError) -> None:
         """Say why, then close: only this client is lost."""
-        self._hall.refused(self.name, error)
+        self._host.refused(self.name, error)
         self.write(frame(Kind.ERROR, 0, to_fault(error)))
         self.end()
 

@@ -30,7 +30,7 @@ _GONE = "the stop lane is gone"
 _SILENT = "the stop lane does not answer"
 
 
-class _ToldStop(Struct, frozen=True, kw_only=True):
+class _ReportedStop(Struct, frozen=True, kw_only=True):
     """A stop as the stop process, or the gate itself, reports it.
 
     Args:
@@ -124,7 +124,7 @@ class StopRecorder:
             stood_ms: after how long the robot stood; None when it was not confirmed.
             more: later stops of the same user and role that were folded into this one.
         """
-        told = _ToldStop(
+        told = _ReportedStop(
             by=client.name,
             uid=client.uid,
             role=client.role,
@@ -144,7 +144,7 @@ class StopRecorder:
         if name in self._known:
             return
         self._known.append(name)
-        told = _ToldStop(
+        told = _ReportedStop(
             by=Identifier(f"u{heard.uid}.{heard.by}"),
             uid=heard.uid,
             role=heard.role,
@@ -170,7 +170,7 @@ class StopRecorder:
         self._liveness.holds(_GONE, is_so=False)
         self._liveness.holds(_SILENT, is_so=is_silent)
 
-    def _note(self, told: _ToldStop, details: dict[str, Any], *, suspends: bool) -> None:
+    def _note(self, told: _ReportedStop, details: dict[str, Any], *, suspends: bool) -> None:
         """Record a stop, once; one that is confirmed later has a second record, without `why`."""
         known = self._recall(told)
         if known is None:
@@ -182,7 +182,7 @@ class StopRecorder:
             if told.stood_ms is not None:
                 self._confirm(told)
 
-    def _recall(self, told: _ToldStop) -> _Known | None:
+    def _recall(self, told: _ReportedStop) -> _Known | None:
         """Return what is known of the same stop.
 
         Stop process and gate each report it, and report it again until it is confirmed. Once it is
@@ -205,7 +205,7 @@ class StopRecorder:
         self._keys[name] = _Known(told.by_lane, now_ms, told.stood_ms is not None)
         return known
 
-    def _record(self, told: _ToldStop, details: dict[str, Any], *, suspends: bool) -> None:
+    def _record(self, told: _ReportedStop, details: dict[str, Any], *, suspends: bool) -> None:
         by, role, stood_ms = told.by, told.role, told.stood_ms
         too_many = self._enforcer.stopped(
             by=by,
@@ -222,7 +222,7 @@ class StopRecorder:
         self._publish(told)
         self._unconfirmed(is_so=stood_ms is None, by=by)
 
-    def _confirm(self, told: _ToldStop) -> None:
+    def _confirm(self, told: _ReportedStop) -> None:
         """Record that an unconfirmed stop is confirmed; a planner's stop has no such record."""
         if told.role is not ClientRole.PLANNER:
             details = {"stood_ms": told.stood_ms, "confirms": True}
@@ -230,7 +230,7 @@ class StopRecorder:
         self._publish(told)
         self._unconfirmed(is_so=False, by=told.by)
 
-    def _publish(self, told: _ToldStop) -> None:
+    def _publish(self, told: _ReportedStop) -> None:
         event = {"event": "stop", "by": told.by, "role": told.role, "stood_ms": told.stood_ms}
         self._events.publish(event)
 

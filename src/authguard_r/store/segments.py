@@ -3,7 +3,7 @@
 
 The store holds which there are, where each begins and ends, and the links that it joins with. A
 file is untrusted: one that is missing, that is another log's or that does not join is named with
-its records before a row of it is read. What a record says is the chain's to verify. Spec page:
+its records before a row of it is read. The hash chain verifies what a record says. Spec page:
 docs/spec/store.md#segments
 """
 
@@ -95,7 +95,7 @@ class Segments:
         folder: where they lie.
         index: which there are, in order (`read_index`).
         vfs: name of an SQLite file system, for tests that cut the power.
-        strange: the files are untrusted (`store.strangers`).
+        strange: the files are untrusted (`store.untrusted`).
     """
 
     def __init__(

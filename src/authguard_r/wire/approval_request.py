@@ -2,7 +2,7 @@
 """An open approval request as a gate sends it: the bytes that an approval binds.
 
 What is shown has to be rendered from `scope_bytes` and `situation_bytes` alone, and only once their
-digests are those of the request (`client.questions.shown`). Nothing here carries authority.
+digests are those of the request (`client.approvals.shown`). Nothing here carries authority.
 Spec page: docs/spec/gate-protocol.md#approvals
 """
 

@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 from authguard_r.audit.tree import (
     EMPTY_ROOT,
     Frontier,
-    MemoryTree,
     consistency_proof,
     leaf_hash,
     node_hash,
@@ -25,6 +24,7 @@ from authguard_r.audit.tree import (
 )
 from fixtures.amount import amount
 from fixtures.inclusion import inclusion_proof, verify_inclusion
+from fixtures.memory_tree import MemoryTree
 
 MOST = 64
 LAW = settings(max_examples=amount(60, 300))

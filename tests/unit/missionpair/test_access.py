@@ -26,8 +26,8 @@ from missionpair.attackers._reading import CaseView, SeenView, read_case, read_s
 from missionpair.briefing import Briefing, OfferedTool, Reply
 from missionpair.campaign.showing import case_of, seen_of
 from missionpair.campaign.trial import PairRun, Setting
-from missionpair.carrying import ExecutedPlan
 from missionpair.defenses import make as defense
+from missionpair.execution import ExecutedPlan
 from missionpair.judging import check
 from missionpair.pair import Input, WordedCall, plan_bytes
 from missionpair.planners._tools import tools_of

@@ -26,8 +26,8 @@ from missionpair.campaign.log import LogError, read_log
 from missionpair.campaign.run import CampaignPlan, Progress, answered, run
 from missionpair.campaign.trial import FINAL, PairRun, Setting, rest_of
 from missionpair.campaign.worker import Ran
-from missionpair.carrying import ExecutedPlan, past_the_gate
 from missionpair.defenses import DefenseError, _qualify
+from missionpair.execution import ExecutedPlan, past_the_gate
 from missionpair.pair import Input, Pair, Start, Suite, plan_bytes
 from missionpair.records import Timing, Trial
 from missionpair.registry import UnknownNameError

@@ -20,12 +20,12 @@ from fixtures import mission_pairs
 from fixtures.cases import case
 from missionpair import defenses
 from missionpair.briefing import Briefing
-from missionpair.carrying import ExecutedPlan
 from missionpair.defenses import Claim, Defense, DefenseError
 from missionpair.defenses._qualify import UnfitDefense, qualify, slice_of
 from missionpair.defenses._temporal_text import rules
 from missionpair.defenses.human import AWAKE, Fatigue, Human
 from missionpair.defenses.prompt import RULE
+from missionpair.execution import ExecutedPlan
 from missionpair.pair import Pair, PriorAct, Scenario, Start, WordedCall, plan_bytes
 from missionpair.planners.graded import RULED, Graded, probability
 from missionpair.registry import UnknownNameError

@@ -36,7 +36,7 @@ LET_GO = '''"""A thing is let go of: gripped with less than the mission allows."
 from msgspec.structs import replace
 
 from missionpair.missions import amended, drawn
-from missionpair.twins._twin import EVERYWHERE, AttackVariants, chosen_step, not_here, twin_of
+from missionpair.variants._twin import EVERYWHERE, AttackVariants, chosen_step, not_here, twin_of
 from missionpair.words import Category, Family
 
 NAME = Category("let-go")
@@ -75,7 +75,7 @@ def _added(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         (folder / f"{name}.py").write_text(text)
         monkeypatch.setattr(room, "__path__", [*room.__path__, str(folder)])
     yield
-    for name in ("missionpair.domains.museum", "missionpair.twins.let_go"):
+    for name in ("missionpair.domains.museum", "missionpair.variants.let_go"):
         sys.modules.pop(name, None)
 
 

@@ -22,7 +22,7 @@ from fixtures.cases import case
 from missionpair import cli_mutate, suites
 from missionpair.ablation import CHECKS, without
 from missionpair.bench import propose
-from missionpair.carrying import through_the_gate
+from missionpair.execution import through_the_gate
 from missionpair.mutation import (
     NOTHING,
     RULES,

@@ -74,7 +74,7 @@ def parts(files: EStopFiles, journal: int, **changes: Any) -> GateParts:
         safety=default_safety(scenarios.site(), scenarios.RID),
         config=estop_fixtures.config(),
         store=files.run / "robot.db",
-        lane=None,
+        estop=None,
         journal=journal,
         demo=True,
     )
@@ -287,7 +287,7 @@ def test_a_simulated_robot_of_a_shadow_gate_stands_still_while_its_time_passes(
 def test_a_stop_lane_is_started_with_the_gate_heard_and_ended_with_it(
     files: EStopFiles, journal: int
 ) -> None:
-    made = parts(files, journal, lane=files)
+    made = parts(files, journal, estop=files)
 
     def work(told: Rendezvous) -> None:
         hand = estop_fixtures.Client(files.run)

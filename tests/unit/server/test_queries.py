@@ -137,7 +137,7 @@ def test_status_and_metrics_say_whether_the_stop_lane_answers_where_there_is_one
         assert auditor.ask(Kind.STATUS)["lane"] is None
         assert "lane_alive" not in auditor.ask(Kind.METRICS)
     for alive in (True, False):
-        with DemoGate(robot=False, parts={"lane_alive": lambda it=alive: it}) as house:
+        with DemoGate(robot=False, parts={"stop_process_alive": lambda it=alive: it}) as house:
             auditor = house.enter(ClientRole.AUDITOR)
             assert auditor.ask(Kind.STATUS)["lane"] == {"alive": alive}
             assert auditor.ask(Kind.METRICS)["lane_alive"] == int(alive)

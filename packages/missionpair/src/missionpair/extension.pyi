@@ -4,12 +4,12 @@ from missionpair.access import RoundKnowledge as RoundKnowledge
 from missionpair.access import case_bytes as case_bytes
 from missionpair.access import seen_bytes as seen_bytes
 from missionpair.attackers._reading import read_case as read_case
-from missionpair.carrying import Denied as Denied
-from missionpair.carrying import Permits as Permits
 from missionpair.defenses import Claim as Claim
 from missionpair.defenses import Defense as Defense
 from missionpair.defenses._qualify import qualify as qualify
 from missionpair.defenses._watched import Watched as Watched
+from missionpair.execution import Denied as Denied
+from missionpair.execution import Permits as Permits
 from missionpair.judging import Walk as Walk
 from missionpair.layouts import layouts_of as layouts_of
 from missionpair.measures import measure as measure
@@ -28,8 +28,8 @@ from missionpair.stage import Stage as Stage
 from missionpair.stage import Yard as Yard
 from missionpair.suites._making import Cell as Cell
 from missionpair.suites._making import pair_of as pair_of
-from missionpair.twins._twin import AttackVariant as AttackVariant
-from missionpair.twins._twin import chosen_step as chosen_step
-from missionpair.twins._twin import twin_of as twin_of
+from missionpair.variants._twin import AttackVariant as AttackVariant
+from missionpair.variants._twin import chosen_step as chosen_step
+from missionpair.variants._twin import twin_of as twin_of
 from missionpair.wording import read as read
 from missionpair.wording import say as say

@@ -29,7 +29,7 @@ from authguard_r.safety import EnvelopeGate, SafetyConfig, default_config, envel
 from authguard_r.safety.config import Executable
 from authguard_r.site.model import Site
 from missionpair.ablation import CHECKS, without
-from missionpair.carrying import Everything, through_the_gate
+from missionpair.execution import Everything, through_the_gate
 from missionpair.pair import Layout, Pair, Suite, plan_bytes
 from missionpair.stage import Stage, Yard
 

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable
 from msgspec import Struct
 
 from authguard_r.core.errors import MalformedError
-from missionpair.carrying import ExecutedPlan, through_the_gate
+from missionpair.execution import ExecutedPlan, through_the_gate
 from missionpair.judging import Walk, proved
 from missionpair.pair import Layout, Pair, Scenario, Suite, plan_bytes, updated
 from missionpair.stage import Stage, StageError, Yard

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """An open approval request in the words of the person who answers it.
 
-Every word of what is to be approved comes from the decoded bytes (`client.questions.Shown`), never
+Every word of what is to be approved comes from the decoded bytes (`client.approvals.Shown`), never
 from what the gate says beside them. Spec page: docs/spec/gate-protocol.md#approvals
 """
 

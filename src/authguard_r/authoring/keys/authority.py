@@ -330,7 +330,7 @@ def _require_own_keys(
 def _holders(
     everything: tuple[IssuedCertificate, ...], wanted: WantedCertificate, now: Now
 ) -> list[Leaf]:
-    """Return what the name has that is neither revoked nor over."""
+    """Return the name's certificates that are neither revoked nor expired."""
     return [
         item.leaf
         for item in everything

@@ -237,7 +237,7 @@ def _able(capability: Capability, scene: EmergencyScene) -> Findings:
 
 
 def _missing(capability: Capability, scene: EmergencyScene) -> Findings:
-    """Nothing is missing that the capability needs; no operator's stop stands against it."""
+    """Return which needs of the capability are missing, and the operator's stop if one stands."""
     found = [
         Finding(_LACKS[part][0], _LACKS[part][1], f"the {part}", "missing")
         for part in sorted(scene.lacks)

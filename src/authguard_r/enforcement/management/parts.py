@@ -79,13 +79,13 @@ def entry(
 
 
 def go_on(act: Transaction) -> None:
-    """Let no operator's stop stand any more: a signed order lets the mission go on."""
+    """Clear the operator's stop: a signed order resumes the mission."""
     if stop_stands(act):
         act.put(*STOP, b"")
 
 
 def hold_acceptance(act: Transaction) -> None:
-    """Hold that this store was accepted now, after it had been put back."""
+    """Record that a person accepted this restored store now."""
     act.put(_KIND, _ACCEPTED, str(act.now.utc_ms).encode("ascii"))
 
 

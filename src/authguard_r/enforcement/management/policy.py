@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The organization's risk policy over time: a gate that has seen one goes back to none older.
+"""The organization's risk policy over time: a gate refuses a policy older than one it has seen.
 
 Spec page: docs/spec/approval.md#the-organizations-policy
 """

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Going on with a store that was put back: a person's signed act, and what it takes away.
 
-What the lost part of the log has used up is unknown. So nothing that was signed before counts by
-itself: the mission waits for a new signature, requests and choices die, and a mission that is not
-here is not taken in again. Spec page: docs/spec/rollback.md#recovery
+What the lost part of the log has used up is unknown. So an older signature alone does not
+count: the mission waits for a new one, the gate cancels requests and choices, and a mission that is
+not here is not taken in again. Spec page: docs/spec/rollback.md#recovery
 """
 
 from __future__ import annotations

@@ -2,9 +2,10 @@
 """Destroying sealed fields: the keys at once, by a signed order or when their time is over.
 
 The order and the loss of the wrapped keys are one commit: from then on the envelopes cannot be
-opened. The boxes themselves go in small turns after it, so that no decision waits, and go on after
-a crash; what a store holds of the mission beside the log goes with them. The chain stays whole, and
-a record says who destroyed what. Spec page: docs/spec/sealed-fields.md#shredding
+opened. The gate deletes the envelopes themselves in small batches after it, so that no decision
+waits, and continues after a crash. What a store holds of the mission beside the log goes with them.
+The chain stays whole, and a record says who destroyed what.
+Spec page: docs/spec/sealed-fields.md#shredding
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The record of a template's signature being meant: one asking, for every mission of it.
+"""The record that a person confirmed a template's signature: once, for all of its missions.
 
 Like a mission's: it lies beside the token, goes sealed into the log, and grants nothing.
 How-to: docs/howto/templates.md

@@ -38,7 +38,7 @@ class Edge:
 
     Args:
         app: answers each caller that is let through.
-        doorkeeper: says who may ask.
+        authenticator: says who may ask.
         hosts: names that a request may call this server by; None: any, behind TLS.
         lines: the log. Requests that were not let in share a bound.
     """

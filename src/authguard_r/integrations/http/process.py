@@ -40,7 +40,7 @@ class HttpSetup(Struct, frozen=True, kw_only=True):
 
     Args:
         where: which gate.
-        doorkeeper: who may ask.
+        authenticator: who may ask.
         url: where clients reach it.
         hosts: names that a request may call it by; None: any, behind TLS.
         tls: the server's certificate; None: plain HTTP, on loopback.

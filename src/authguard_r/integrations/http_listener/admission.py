@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """How many may be connected, and who has to go when there are more.
 
-Every user of this machine can connect to a port, as often as they like. So who connects is counted
-from the first moment on, and when the room is full, a stranger makes place for the next one: the
-stranger who came first. A connection whose request was let in and is not answered yet is kept. Spec
+Every user of this machine can connect to a port, as often as they like. So each connection is
+counted from the first moment on. At the limit, the oldest connection of a stranger is closed for
+the next one. A connection whose request was let in and is not answered yet is kept. Spec
 page: docs/spec/listeners.md
 """
 

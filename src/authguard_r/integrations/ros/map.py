@@ -235,7 +235,7 @@ def faults(ros: RosMap) -> Iterator[tuple[str, str]]:
     yield from _names(ros)
     yield from _enclaves(ros)
     yield from _types(ros)
-    yield from _strays(ros)
+    yield from _unmapped(ros)
     yield from _liars(ros)
 
 
@@ -318,7 +318,7 @@ def _types(ros: RosMap) -> Iterator[tuple[str, str]]:
             yield f"shown.{key}.type", f"expected `package/msg/Name`, got `{shown.type}`"
 
 
-def _strays(ros: RosMap) -> Iterator[tuple[str, str]]:
+def _unmapped(ros: RosMap) -> Iterator[tuple[str, str]]:
     """Yield what a process of the robot would do past the gate's node."""
     moves = {item.private: key for key, item in ros.mediated.items()}
     for enclave, process in ros.processes.items():

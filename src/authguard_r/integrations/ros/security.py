@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether a process of ours really runs in its enclave: looked at before the first node is made.
 
-ROS 2 takes a wrong word for no word and goes on without security: `TRUE`, `enforce`, a variable
-that is not set, a folder that is not there. Each is a refusal here.
+ROS 2 ignores an invalid setting and goes on without security: `TRUE`, `enforce`, a variable that is
+not set, a folder that is missing. Each is a refusal here.
 Spec page: docs/spec/ros-map.md#self-check
 """
 

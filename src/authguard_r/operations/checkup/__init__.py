@@ -241,10 +241,10 @@ def _custody(setup: GateSetup) -> Iterator[Advice]:
     for path in () if setup.demo else sorted({*keys, *([setup.key] if setup.key else [])}):
         yield from plain_advice(path)
     if not setup.demo:  # in a demonstration they all lie together
-        yield from _strays(setup)
+        yield from _unused(setup)
 
 
-def _strays(setup: GateSetup) -> Iterator[Advice]:
+def _unused(setup: GateSetup) -> Iterator[Advice]:
     """Private keys that do not belong where they lie."""
     authorities = _authority_keys(setup.trust)
     is_named = any(part is not None for part in (setup.key, setup.chain, setup.config))

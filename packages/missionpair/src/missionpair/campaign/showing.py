@@ -19,8 +19,8 @@ from authguard_r.core.reasons import Reason
 from authguard_r.site.model import Site
 from missionpair.access import PairKnowledge, RoundKnowledge, SeenFinding
 from missionpair.briefing import Briefing, EarlierTurn, OfferedTool
-from missionpair.carrying import ExecutedPlan
 from missionpair.defenses import Defense
+from missionpair.execution import ExecutedPlan
 from missionpair.judging import Checked
 from missionpair.pair import Input, Pair, WordedCall
 from missionpair.planners._tools import places_of, things_of, tools_of

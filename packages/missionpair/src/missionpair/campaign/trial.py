@@ -21,7 +21,15 @@ from missionpair.access import case_bytes, seen_bytes
 from missionpair.attackers import Attacker, AttackerError
 from missionpair.briefing import Briefing, EarlierTurn, Planner, PlannerError, Reply
 from missionpair.campaign.showing import briefing_of, case_of, seen_of
-from missionpair.campaign.tried import Dice, TrialCosts, TrialRecord, add, note, round_of, trial_of
+from missionpair.campaign.trial_record import (
+    Dice,
+    TrialCosts,
+    TrialRecord,
+    add,
+    note,
+    round_of,
+    trial_of,
+)
 from missionpair.defenses import Defense, DefenseError
 from missionpair.defenses._qualify import fit_of, stopped
 from missionpair.judging import Checked, check, check_first

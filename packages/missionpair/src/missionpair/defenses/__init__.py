@@ -15,7 +15,7 @@ from msgspec import Struct
 from authguard_r.core.ports import SafetyGate
 from missionpair import registry
 from missionpair.briefing import Briefing
-from missionpair.carrying import ExecutedPlan
+from missionpair.execution import ExecutedPlan
 from missionpair.pair import Pair
 from missionpair.stage import Stage
 from missionpair.words import Category

@@ -8,8 +8,8 @@ from typing import Any
 
 from authguard_r.core.ports import SafetyGate
 from missionpair.briefing import Briefing
-from missionpair.carrying import ExecutedPlan, through_the_gate
 from missionpair.defenses import Claim, DefenseError
+from missionpair.execution import ExecutedPlan, through_the_gate
 from missionpair.stage import Stage
 
 

@@ -11,9 +11,9 @@ from collections.abc import Iterable, Iterator
 
 from msgspec import Struct
 
-from missionpair.carrying import NO_DEFENSE
 from missionpair.defenses import Defense
 from missionpair.defenses._outside import outside
+from missionpair.execution import NO_DEFENSE
 from missionpair.pair import Layout, Pair, Scenario, Suite, plan_bytes
 from missionpair.stage import Stage, Yard
 

@@ -10,8 +10,8 @@ from typing import Any
 from authguard_r.core.action import Action
 from authguard_r.core.ports import SafetyGate
 from missionpair.briefing import Briefing
-from missionpair.carrying import Denied, ExecutedPlan, Permits, past_the_gate
 from missionpair.defenses import Claim
+from missionpair.execution import Denied, ExecutedPlan, Permits, past_the_gate
 from missionpair.judging import Walk
 from missionpair.stage import Stage
 

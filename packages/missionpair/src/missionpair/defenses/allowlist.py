@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from authguard_r.core.action import Action
 from authguard_r.core.identifiers import ActionType, ToolId
-from missionpair.carrying import Denied, Permits
 from missionpair.defenses import Claim, Defense
 from missionpair.defenses._per_mission import PerMission
 from missionpair.defenses._watched import Watched
+from missionpair.execution import Denied, Permits
 from missionpair.judging import Walk
 from missionpair.stage import Stage
 from missionpair.words import Category

@@ -17,11 +17,11 @@ from typing import Any
 import msgspec
 
 from authguard_r.core.action import Action
-from missionpair.carrying import Denied
 from missionpair.defenses import Claim, Defense, DefenseError
 from missionpair.defenses._cedar_text import policies, request, schema
 from missionpair.defenses._per_mission import PerMission
 from missionpair.defenses._watched import Watched
+from missionpair.execution import Denied
 from missionpair.judging import Walk
 from missionpair.stage import Stage
 from missionpair.words import Category

@@ -12,10 +12,10 @@ from authguard_r.core.errors import MalformedError
 from authguard_r.safety import ExternalGate
 from authguard_r.safety.config import ExternalChecker
 from authguard_r.site.source import convert
-from missionpair.carrying import Denied, Permits
 from missionpair.defenses import Claim, Defense, DefenseError
 from missionpair.defenses._unsafe import stops_unsafe
 from missionpair.defenses._watched import Watched
+from missionpair.execution import Denied, Permits
 from missionpair.judging import Walk
 from missionpair.stage import Stage
 

@@ -21,8 +21,8 @@ from authguard_r.core.action import Action
 from authguard_r.core.ports import SafetyGate
 from authguard_r.core.reasons import Reason
 from missionpair.briefing import Briefing
-from missionpair.carrying import Denied, ExecutedPlan, past_the_gate
 from missionpair.defenses import Claim, Defense, DefenseError
+from missionpair.execution import Denied, ExecutedPlan, past_the_gate
 from missionpair.judging import Walk
 from missionpair.stage import Stage
 from missionpair.words import Category

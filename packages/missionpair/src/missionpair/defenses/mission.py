@@ -7,9 +7,9 @@ the gate, here the attack side, puts the second gate in.
 
 from __future__ import annotations
 
-from missionpair.carrying import Everything
 from missionpair.defenses import Claim, Defense
 from missionpair.defenses._gated import Gated
+from missionpair.execution import Everything
 from missionpair.words import Category
 
 #: One for all: stages that were made with it can be used again.

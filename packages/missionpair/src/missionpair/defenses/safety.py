@@ -8,10 +8,10 @@ is safe and not authorized is what it cannot see.
 from __future__ import annotations
 
 from authguard_r.core.action import Action
-from missionpair.carrying import Denied, Permits
 from missionpair.defenses import Claim, Defense
 from missionpair.defenses._unsafe import stops_unsafe
 from missionpair.defenses._watched import Watched
+from missionpair.execution import Denied, Permits
 from missionpair.judging import Walk, safety_of
 from missionpair.stage import Stage
 

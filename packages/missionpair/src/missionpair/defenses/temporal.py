@@ -22,10 +22,10 @@ from authguard_r.core.standing import Outcome
 from authguard_r.safety import TemporalGate, default_config
 from authguard_r.safety.temporal.rules import MAX_RULES
 from missionpair.briefing import Briefing
-from missionpair.carrying import Denied, ExecutedPlan, past_the_gate
 from missionpair.defenses import Claim, Defense, DefenseError
 from missionpair.defenses._per_mission import PerMission
 from missionpair.defenses._temporal_text import rules
+from missionpair.execution import Denied, ExecutedPlan, past_the_gate
 from missionpair.judging import Walk
 from missionpair.stage import Stage
 from missionpair.words import Category

@@ -7,13 +7,13 @@ from collections.abc import Iterator
 from random import Random
 from typing import NamedTuple
 
-from missionpair import domains, twins
+from missionpair import domains, variants
 from missionpair.layouts import DomainWords, Ground, layouts_of
 from missionpair.missions.draw import UnfitDraw
 from missionpair.pair import Input, Layout, Pair, Suite
 from missionpair.registry import make, names
 from missionpair.suites._canonical import canonical
-from missionpair.twins._twin import AttackVariant, AttackVariants
+from missionpair.variants._twin import AttackVariant, AttackVariants
 from missionpair.wording import coordinate, say
 from missionpair.words import Category, Channel, Domain, Family
 
@@ -43,8 +43,8 @@ class Makers:
                 layouts_of(words) if layouts is None else layouts_of(words, layouts)
             )
         self.twins: dict[str, AttackVariants] = {}
-        for name in names(twins):
-            made: AttackVariants = make(twins, name)
+        for name in names(variants):
+            made: AttackVariants = make(variants, name)
             self.twins[str(made.category)] = made
 
     def layouts(self) -> dict[str, Layout]:

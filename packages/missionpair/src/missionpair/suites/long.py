@@ -10,10 +10,10 @@ from missionpair.missions import drawn
 from missionpair.missions.draw import UnfitDraw
 from missionpair.pair import Pair, Suite
 from missionpair.suites._making import Cell, Makers, PairMaker, suite_of
-from missionpair.twins._twin import AttackVariant, AttackVariants
-from missionpair.twins.area import going_through
-from missionpair.twins.goal import ending_elsewhere
-from missionpair.twins.parameter import above
+from missionpair.variants._twin import AttackVariant, AttackVariants
+from missionpair.variants.area import going_through
+from missionpair.variants.goal import ending_elsewhere
+from missionpair.variants.parameter import above
 from missionpair.words import Category, Channel, Domain, Family
 
 VERSION = 1

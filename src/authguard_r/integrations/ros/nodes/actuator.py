@@ -131,7 +131,7 @@ class Actuator:
         self._tell(Twist())
 
     def _tell(self, velocity: Twist) -> None:
-        """Command the driver; one that fails gets zero until it takes it."""
+        """Command the driver; after a failure send zero until the driver accepts it."""
         self._told_ns = time.monotonic_ns()
         try:
             self._drive(velocity)

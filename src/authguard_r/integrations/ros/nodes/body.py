@@ -92,7 +92,7 @@ class RosBody:
         self, rid: RobotId, means: RosDrivers, changed: Callable[[], None], log: ProcessLog
     ) -> None:
         self.rid = rid
-        self.outlets: dict[str, ClientProxy] = {}
+        self.proxies: dict[str, ClientProxy] = {}
         vocabulary = means.site.vocabulary.values()
         self.sampled = frozenset(name for kind in vocabulary for name in velocities(kind))
         self._means = means
@@ -107,7 +107,7 @@ class RosBody:
     @property
     def missing(self) -> tuple[str, ...]:
         """What of the robot is not there, by its name in the map."""
-        return tuple(key for key, outlet in self.outlets.items() if not outlet.is_there)
+        return tuple(key for key, outlet in self.proxies.items() if not outlet.is_there)
 
     @property
     def stands(self) -> bool:
@@ -145,7 +145,7 @@ class RosBody:
             raise ControllerError("the robot is being stopped, and nobody says that it stands")
         try:
             key, call = self._rebuilt(action)
-            outlet = self.outlets[key]
+            outlet = self.proxies[key]
             message = self._message(key, call)
             wanted = self._means.binder.expected(call)
         except MalformedError as error:
@@ -201,7 +201,7 @@ class RosBody:
     def brake(self) -> None:
         """Stop everything that runs, of all planners; a second time changes nothing."""
         if self._stopping is None:
-            for outlet in self.outlets.values():
+            for outlet in self.proxies.values():
                 if isinstance(outlet, StreamClientProxy):
                     outlet.rest()
             self._stopping = asyncio.ensure_future(self._stop())
@@ -209,7 +209,7 @@ class RosBody:
     def pass_time(self, ms: int) -> None:  # noqa: ARG002 - the clock says it
         """Look at the clock."""
         self._seen_ms = mono_ms()
-        for outlet in self.outlets.values():
+        for outlet in self.proxies.values():
             outlet.pass_time()
 
     def is_alive(self) -> bool:
@@ -242,7 +242,7 @@ class RosBody:
 
     async def _stop(self) -> None:
         """Stop every outlet, until each says that nothing runs."""
-        while not all(await asyncio.gather(*map(self._stopped, tuple(self.outlets)))):
+        while not all(await asyncio.gather(*map(self._stopped, tuple(self.proxies)))):
             self._ended(Outcome.UNKNOWN)
             await asyncio.sleep(AGAIN_S)
         self._stopping = None
@@ -251,7 +251,7 @@ class RosBody:
     async def _stopped(self, key: str) -> bool:
         """Stop one outlet; one that fails is not stopped, and does not prevent the others."""
         try:
-            is_over, message = await self.outlets[key].stop(), "nobody says that it is over"
+            is_over, message = await self.proxies[key].stop(), "nobody says that it is over"
         except Exception as error:  # noqa: BLE001 - whatever it is, it is tried again
             is_over, message = False, f"{type(error).__name__}: {error}"
         if not is_over:
@@ -280,7 +280,7 @@ class RosBody:
         """Return the message that a rebuilt call is."""
         item = self._means.ros.mediated[key]
         plain = json.loads(call_bytes(call))["arguments"]
-        return message_of(self.outlets[key].kind, body_of(item, plain), where=key)
+        return message_of(self.proxies[key].kind, body_of(item, plain), where=key)
 
 
 def _speed(action: Action) -> int:

@@ -126,7 +126,7 @@ class ActionClientProxy:
         goal = _Goal(order)
         self._goals[bytes(goal.id.uuid)] = goal
         self._own.append(bytes(goal.id.uuid))
-        self._robot.spinner.begin(self._attend(goal))
+        self._robot.spinner.begin(self._drive(goal))
 
     def pass_time(self) -> None:
         """Look whether the server was away: what it ran before is unknown when it is back."""
@@ -177,7 +177,7 @@ class ActionClientProxy:
         self._is_settled = True
         return True
 
-    async def _attend(self, goal: _Goal) -> None:
+    async def _drive(self, goal: _Goal) -> None:
         """Carry it out; after a fault here the robot's motion is unknown."""
         try:
             await self._carry(goal)

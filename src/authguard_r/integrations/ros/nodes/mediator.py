@@ -100,7 +100,7 @@ class Mediator:
     ) -> None:
         self._place, self._spinner, self._types, self._log = place, spinner, types, log
         self._group = ReentrantCallbackGroup()
-        self._inlets: tuple[ActionProxyServer, ...] = ()
+        self._servers: tuple[ActionProxyServer, ...] = ()
         #: the process's
         self.enclave = place.ros.enclaves.gate
         robot, ros, site = place.ros.robot, place.ros, place.site
@@ -142,7 +142,7 @@ class Mediator:
             is_alive=self.body.is_alive,
         )
         for key, item in self._place.ros.mediated.items():
-            self.body.outlets[key] = self._outlet(robot, key, item)
+            self.body.proxies[key] = self._proxy(robot, key, item)
         gate_heartbeat(
             self._spinner.node,
             self._place.ros.heartbeat,
@@ -170,17 +170,17 @@ class Mediator:
                 MessageProxyServer(public, key, item, kind)
             else:
                 StreamServer(public, key, item, kind, self._binder)
-        self._inlets = tuple(actions)
+        self._servers = tuple(actions)
         self._telling.serve(public, self.gate, body=self.body, session=self.driver.session)
 
     async def settled(self, within_s: float) -> None:
         """Return once planners heard how each of their goals ended, or time is over."""
         with suppress(TimeoutError):
             async with asyncio.timeout(within_s):
-                while not all(inlet.is_idle for inlet in self._inlets):
+                while not all(server.is_idle for server in self._servers):
                     await asyncio.sleep(_LOOK_S)
 
-    def _outlet(self, robot: RobotProxy, key: str, item: Mediated) -> ClientProxy:
+    def _proxy(self, robot: RobotProxy, key: str, item: Mediated) -> ClientProxy:
         kind = self._types[key]
         if item.kind is MediationKind.ACTION:
             return ActionClientProxy(robot, kind, item.private)

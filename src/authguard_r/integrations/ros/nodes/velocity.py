@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The robot's side of a stream: one publisher of velocities, which says zero when nothing runs.
 
-It publishes all the time: its silence is what a watch of the robot's stops on. A velocity goes out
+It publishes all the time: a watchdog of the robot stops on its silence. A velocity goes out
 only while the gate's ends are alive, and the thread of ROS turns, which hears how the robot is.
 Spec page: docs/spec/ros.md#streams
 """

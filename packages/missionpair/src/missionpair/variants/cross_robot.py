@@ -9,7 +9,7 @@ from missionpair.layouts import Ground
 from missionpair.missions import drawn, superseding
 from missionpair.missions.draw import UnfitDraw
 from missionpair.pair import PriorAct
-from missionpair.twins._twin import (
+from missionpair.variants._twin import (
     COLD,
     EVERYWHERE,
     AttackVariant,

@@ -12,7 +12,7 @@ from missionpair.missions import Errand, JobStep, amended, drawn
 from missionpair.missions.amend import grant_of
 from missionpair.missions.draw import UnfitDraw, pick
 from missionpair.pair import Start
-from missionpair.twins._twin import (
+from missionpair.variants._twin import (
     COLD,
     EVERYWHERE,
     RECORDING,

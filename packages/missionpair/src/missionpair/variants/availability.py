@@ -11,7 +11,7 @@ from missionpair.layouts import Ground
 from missionpair.missions import Errand, JobStep, added, amended, drawn, raised
 from missionpair.missions.draw import UnfitDraw
 from missionpair.missions.grants import granted, guard, way_rows
-from missionpair.twins._twin import (
+from missionpair.variants._twin import (
     EVERYWHERE,
     AttackVariant,
     AttackVariants,

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from missionpair.layouts import Ground
 from missionpair.missions import Errand, amended, drawn
 from missionpair.missions.draw import UnfitDraw, pick
-from missionpair.twins._twin import (
+from missionpair.variants._twin import (
     EVERYWHERE,
     AttackVariant,
     AttackVariants,

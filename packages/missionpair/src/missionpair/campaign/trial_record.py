@@ -14,8 +14,8 @@ import msgspec
 from authguard_r.core.encoding import b64
 from authguard_r.core.reasons import Reason
 from missionpair.briefing import Reply
-from missionpair.carrying import NO_DEFENSE, ExecutedPlan
 from missionpair.defenses import Defense
+from missionpair.execution import NO_DEFENSE, ExecutedPlan
 from missionpair.judging import Checked, JudgedEffect
 from missionpair.pair import Input, Pair
 from missionpair.records import Round, Timing, Trial

@@ -11,7 +11,7 @@ from missionpair.layouts import DomainWords, Ground
 from missionpair.missions import Errand, JobStep, amended, drawn, raised
 from missionpair.missions.amend import Draft, grant_of
 from missionpair.missions.draw import UnfitDraw
-from missionpair.twins._twin import (
+from missionpair.variants._twin import (
     EVERYWHERE,
     RECORDING_FREELY,
     AttackVariant,

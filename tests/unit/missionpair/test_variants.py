@@ -18,7 +18,7 @@ from missionpair.missions.draw import UnfitDraw
 from missionpair.pair import updated
 from missionpair.registry import make, names
 from missionpair.suites._making import Cell, pair_of
-from missionpair.twins._twin import AttackVariant, AttackVariants
+from missionpair.variants._twin import AttackVariant, AttackVariants
 from missionpair.words import Category, Channel, Domain, Family
 
 CATEGORIES = names(twins)

@@ -14,7 +14,7 @@ from missionpair.missions.amend import grant_of
 from missionpair.missions.draw import UnfitDraw, pick
 from missionpair.missions.grants import risk
 from missionpair.pair import PriorAct
-from missionpair.twins._twin import (
+from missionpair.variants._twin import (
     EVERYWHERE,
     RECORDING,
     AttackVariant,

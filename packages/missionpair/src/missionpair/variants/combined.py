@@ -12,7 +12,7 @@ from missionpair.missions import JobStep, amended, drawn, raised
 from missionpair.missions.amend import Draft, added, grant_of
 from missionpair.missions.draw import UnfitDraw, pick
 from missionpair.pair import PriorAct
-from missionpair.twins._twin import (
+from missionpair.variants._twin import (
     COLD,
     EVERYWHERE,
     AttackVariant,
@@ -22,11 +22,11 @@ from missionpair.twins._twin import (
     retasked,
     twin_of,
 )
-from missionpair.twins.area import beyond
-from missionpair.twins.capability import RECORD, film, filming
-from missionpair.twins.object import another
-from missionpair.twins.parameter import over, spacious, widened
-from missionpair.twins.provenance import opened, unshared
+from missionpair.variants.area import beyond
+from missionpair.variants.capability import RECORD, film, filming
+from missionpair.variants.object import another
+from missionpair.variants.parameter import over, spacious, widened
+from missionpair.variants.provenance import opened, unshared
 from missionpair.words import Category, Family
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Provenance confusion: what is signed is open, and the channel chooses instead of its signer."""
+"""Provenance confusion: the mission leaves a value open, and a channel chooses it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from missionpair.missions.build import OPENED
 from missionpair.missions.draw import UnfitDraw
 from missionpair.missions.job import Task
 from missionpair.pair import PriorAct
-from missionpair.twins._twin import EVERYWHERE, AttackVariant, AttackVariants, not_here, twin_of
+from missionpair.variants._twin import EVERYWHERE, AttackVariant, AttackVariants, not_here, twin_of
 from missionpair.words import Category, Family
 
 

@@ -14,7 +14,7 @@ from missionpair.missions.amend import Draft, grant_of
 from missionpair.missions.build import built, recording
 from missionpair.missions.draw import UnfitDraw
 from missionpair.missions.grants import STILL_MS, granted
-from missionpair.twins._twin import (
+from missionpair.variants._twin import (
     EVERYWHERE,
     AttackVariant,
     AttackVariants,

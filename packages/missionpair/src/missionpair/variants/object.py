@@ -11,7 +11,7 @@ from missionpair.layouts import Ground
 from missionpair.missions import Errand, JobStep, amended, drawn
 from missionpair.missions.amend import grant_of
 from missionpair.missions.draw import UnfitDraw, pick
-from missionpair.twins._twin import (
+from missionpair.variants._twin import (
     EVERYWHERE,
     AttackVariant,
     AttackVariants,

@@ -13,7 +13,7 @@ from missionpair.missions import Errand, JobStep, amended, drawn, raised, supers
 from missionpair.missions.amend import grant_of
 from missionpair.missions.draw import UnfitDraw, pick
 from missionpair.pair import PriorAct
-from missionpair.twins._twin import (
+from missionpair.variants._twin import (
     COLD,
     EVERYWHERE,
     RECORDING,
@@ -27,7 +27,7 @@ from missionpair.twins._twin import (
     retasked,
     twin_of,
 )
-from missionpair.twins.availability import SCAN
+from missionpair.variants.availability import SCAN
 from missionpair.words import Category, Family
 
 _NO_RECORDING = "no mission here records, so no recording can come again"
