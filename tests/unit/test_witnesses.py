@@ -101,7 +101,7 @@ def states(sim: Simulation) -> list[str]:
 def settled(sim: Simulation) -> list[Any]:
     """Let the gate's timer run until no witness has a request; return what it told."""
     found: list[Any] = []
-    quorum = sim.gate.anchor._notary._quorum  # type: ignore[union-attr]
+    quorum = sim.gate.anchor._scheduler._quorum  # type: ignore[union-attr]
 
     def still() -> bool:
         found.extend(sim.gate.anchor.tick())
@@ -174,7 +174,7 @@ def test_one_of_two_is_enough_where_it_says_so_and_the_other_catches_up(
     sim = begin(MemoryStore(), policy(one, two, quorum=1))
     until(lambda: settled(sim) == [] and states(sim) == ["cosigned", "unreachable"], "the states")
     assert witness(sim)["witnessed"] == 1
-    sim.gate.anchor._notary.require()  # type: ignore[union-attr]
+    sim.gate.anchor._scheduler.require()  # type: ignore[union-attr]
     two.start()
     grow(sim)
     settled(sim)
@@ -839,15 +839,15 @@ def test_nobody_is_asked_where_no_key_signs(one: SmallWitness) -> None:
     sim = begin(MemoryStore(), policy())
     assert "witness" not in sim.gate.anchor.shown()
     ledger = sim.gate.ledger
-    notary = CheckpointScheduler(ledger, robot=scenarios.RID, signer=None, policy=policy(one))
-    keyless = StoreAnchor(ledger, robot=scenarios.RID, notary=notary)
+    scheduler = CheckpointScheduler(ledger, robot=scenarios.RID, signer=None, policy=policy(one))
+    keyless = StoreAnchor(ledger, robot=scenarios.RID, scheduler=scheduler)
     keyless.begin()
     assert (keyless.why, keyless.tick(), one.asked) == (None, (), [])
     with pytest.raises(EnvironmentFault):  # and what has no undo waits for ever
         keyless.ready(irreversible=True)
 
 
-def test_without_a_notary_nothing_is_made_and_nothing_waits() -> None:
+def test_without_a_scheduler_nothing_is_made_and_nothing_waits() -> None:
     bare = StoreAnchor(begin(MemoryStore(), policy()).gate.ledger, robot=scenarios.RID)
     bare.begin()
     bare.ready(irreversible=True)

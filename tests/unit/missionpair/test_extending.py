@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from missionpair import domains, registry, twins
+from missionpair import domains, registry, variants
 from missionpair.pair import Suite
 from missionpair.proving import prove
 from missionpair.report.names import category as name_of
@@ -69,7 +69,7 @@ def make_twin(ground, rng, family):
 @pytest.fixture
 def _added(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """A file more in each room."""
-    for room, name, text in ((domains, "museum", MUSEUM), (twins, "let_go", LET_GO)):
+    for room, name, text in ((domains, "museum", MUSEUM), (variants, "let_go", LET_GO)):
         folder = tmp_path / room.__name__
         folder.mkdir()
         (folder / f"{name}.py").write_text(text)
@@ -120,4 +120,4 @@ def test_a_name_without_a_file_is_no_word(name: str) -> None:
 
 def test_the_words_that_are_named_have_their_files() -> None:
     assert {*map(str, Domain)} <= {*registry.names(domains)}
-    assert {*map(str, Category)} <= {*registry.names(twins)}
+    assert {*map(str, Category)} <= {*registry.names(variants)}

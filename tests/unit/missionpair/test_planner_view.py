@@ -445,7 +445,7 @@ def live(name: str, url: str, mode: str = "tools") -> Any:
 #: Headers that a request has; of those that vary only the length is ours.
 HEADERS = {
     *("host", "connection", "accept", "content-type", "user-agent", "authorization"),
-    *("anthropic-version", "content-length"),
+    *("anthropic-version", "content-length", "accept-encoding"),
 }
 
 

@@ -10,7 +10,7 @@ import pytest
 from msgspec.structs import replace
 
 from fixtures.cases import case
-from missionpair import domains, twins
+from missionpair import domains, variants
 from missionpair.layouts import Ground, layouts_of
 from missionpair.missions import added, amended, raised, superseding
 from missionpair.missions.amend import grant_of
@@ -21,7 +21,7 @@ from missionpair.suites._making import Cell, pair_of
 from missionpair.variants._twin import AttackVariant, AttackVariants
 from missionpair.words import Category, Channel, Domain, Family
 
-CATEGORIES = names(twins)
+CATEGORIES = names(variants)
 FALSE = Family.FALSE_EMERGENCY
 
 
@@ -44,7 +44,7 @@ def drawn(
 
 
 def cells(category: str) -> Iterator[tuple[Domain, Family]]:
-    made: AttackVariants = make(twins, category)
+    made: AttackVariants = make(variants, category)
     for domain in Domain:
         for family, where in made.families.items():
             if not where.refuses(domain):
@@ -60,7 +60,7 @@ def test_every_cell_has_a_twin_that_names_what_it_changes(
 ) -> None:
     for category in CATEGORIES:
         with case(category):
-            made: AttackVariants = make(twins, category)
+            made: AttackVariants = make(variants, category)
             assert set(made.families) == set(Family)
             for domain, family in cells(category):
                 twin = drawn(made, grounds[domain], family)
@@ -75,7 +75,7 @@ def test_every_cell_has_a_twin_that_names_what_it_changes(
 def test_the_same_seed_gives_the_same_twin(grounds: dict[Domain, tuple[Ground, ...]]) -> None:
     for category in CATEGORIES:
         with case(category):
-            made: AttackVariants = make(twins, category)
+            made: AttackVariants = make(variants, category)
             domain, family = next(cells(category))
             first, again = (drawn(made, grounds[domain], family, 7) for _ in range(2))
             assert (first.missions, first.plan, first.before) == (
@@ -88,7 +88,7 @@ def test_the_same_seed_gives_the_same_twin(grounds: dict[Domain, tuple[Ground, .
 def test_combinations_change_two_or_three_things(
     grounds: dict[Domain, tuple[Ground, ...]],
 ) -> None:
-    made: AttackVariants = make(twins, "combined")
+    made: AttackVariants = make(variants, "combined")
     held = [
         drawn(made, grounds[domain], family, seed)
         for domain, family in cells("combined")
@@ -102,7 +102,7 @@ def test_what_a_robot_cannot_do_is_its_integrator_s_to_add(
     grounds: dict[Domain, tuple[Ground, ...]],
 ) -> None:
     """A twin beyond the profile: its operator signed it, and another profile authorizes it."""
-    made: AttackVariants = make(twins, Category.CAPABILITY)
+    made: AttackVariants = make(variants, Category.CAPABILITY)
     for domain in Domain:
         found = (drawn(made, grounds[domain], Family.FALSE_EMERGENCY, seed) for seed in range(100))
         twin = next(twin for twin in found if twin.commissioned)

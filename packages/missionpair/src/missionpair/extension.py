@@ -10,13 +10,13 @@ from __future__ import annotations
 from authguard_r import lazy
 
 _HOMES = {
-    "AttackVariant": "twins._twin",
+    "AttackVariant": "variants._twin",
     "Cell": "suites._making",
     "Claim": "defenses",
     "Defense": "defenses",
-    "Denied": "carrying",
+    "Denied": "execution",
     "PairKnowledge": "access",
-    "Permits": "carrying",
+    "Permits": "execution",
     "RoundKnowledge": "access",
     "Stage": "stage",
     "UnfitDraw": "missions.draw",
@@ -25,7 +25,7 @@ _HOMES = {
     "Yard": "stage",
     "amended": "missions",
     "case_bytes": "access",
-    "chosen_step": "twins._twin",
+    "chosen_step": "variants._twin",
     "drawn": "missions",
     "layouts_of": "layouts",
     "lines": "report",
@@ -43,7 +43,7 @@ _HOMES = {
     "seen_bytes": "access",
     "things_of": "planners._tools",
     "tools_of": "planners._tools",
-    "twin_of": "twins._twin",
+    "twin_of": "variants._twin",
 }
 __all__ = list(_HOMES)
 __getattr__ = lazy(__name__, _HOMES, "missionpair")

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The words of the benchmark: what is attacked, how it is said, on which way it arrives, where.
 
-A category and a domain may also be one that is not named here: a file in the room `twins` or
+A category and a domain may also be one that is not named here: a file in the folder `variants` or
 `domains` makes it one. What is named here is what the shipped suites are made of; they are frozen,
 so that a new file changes none of them.
 Source: sections "Attack Categories" and "Attack Templates". Spec page: docs/spec/missionpair.md
@@ -14,25 +14,25 @@ from enum import StrEnum
 from importlib.util import find_spec
 from typing import Self
 
-#: How a file in a room may call what it adds.
+#: How a file in such a folder may call what it adds.
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*", re.ASCII)
-#: The file of the room `twins` whose attacks are of several categories, and of none of their own.
+#: The file of `variants` whose attacks are of several categories, and of none of their own.
 COMBINED = "combined"
 
 
 class _Open(StrEnum):
-    """Words that a file in a room may add to."""
+    """Words that a file in such a folder may add to."""
 
     @classmethod
-    def _room(cls) -> str:
+    def _folder(cls) -> str:
         raise NotImplementedError
 
     @classmethod
     def _missing_(cls, value: object) -> Self | None:
-        """Return the word that a file of the room adds; None where there is no such file."""
+        """Return the word that a file of the folder adds; None where there is no such file."""
         if not isinstance(value, str) or not _NAME.fullmatch(value) or value == COMBINED:
             return None
-        if find_spec(f"missionpair.{cls._room()}.{value.replace('-', '_')}") is None:
+        if find_spec(f"missionpair.{cls._folder()}.{value.replace('-', '_')}") is None:
             return None
         added = str.__new__(cls, value)
         added._name_, added._value_ = value.replace("-", "_").upper(), value
@@ -43,8 +43,8 @@ class Category(_Open):
     """What an attack changes; a pair that combines several names each of them."""
 
     @classmethod
-    def _room(cls) -> str:
-        return "twins"
+    def _folder(cls) -> str:
+        return "variants"
 
     GOAL = "goal"
     OBJECT = "object"
@@ -84,7 +84,7 @@ class Domain(_Open):
     """Where the robot works."""
 
     @classmethod
-    def _room(cls) -> str:
+    def _folder(cls) -> str:
         return "domains"
 
     HOSPITAL = "hospital"
