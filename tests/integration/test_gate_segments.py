@@ -88,6 +88,15 @@ def gate() -> Iterator[Rotating]:
 
 
 @pytest.mark.smoke
+def oldest(path: Path) -> int:
+    """Return the number of the oldest record that the store itself has."""
+    store = open_store(path)
+    try:
+        return int(store._connection.execute("SELECT min(seq) FROM audit").get)
+    finally:
+        store.close()
+
+
 def test_a_gate_moves_its_oldest_records_while_it_decides(gate: Rotating) -> None:
     gate.activate()
     seen = [(told.seq, told.kind) for told in gate.records()]
@@ -105,10 +114,13 @@ def test_a_gate_moves_its_oldest_records_while_it_decides(gate: Rotating) -> Non
     assert verify_rows(rows, anchors=[of_checkpoint(before)]).whole
     assert int(read_held(gate.store, SEGMENT, "mark") or b"0") >= 3 * 256
     assert call(["audit", "segments", str(gate.store), "--key", log_keys()[0].text()]) == 0
-    store = open_store(gate.store)
-    left = store._connection.execute("SELECT min(seq) FROM audit").get
-    store.close()
-    assert left > 0
+    for _ in range(10):  # the gate deletes what it moved a little between its turns
+        if oldest(gate.store) > 0:
+            break
+        gate.start_gate()
+        gate.grow(10)
+        gate.stop_process("gate")
+    assert oldest(gate.store) > 0
 
 
 def test_a_gate_that_is_killed_while_it_moves_records_has_them_all(gate: Rotating) -> None:
