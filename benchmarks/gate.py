@@ -177,12 +177,12 @@ class _Twin:
         self._flush()
         start = perf_counter_ns()
         plan = read_plan(data, binder=self._binder)
-        keep = {}
+        hook = {}
         if key is not None:
             nothing = ProposalRecord(evidence=plan.evidence, planned=1, steps=())
-            keep = {"keep": CommitRecorder(_PLANNER, key, nothing)}
+            hook = {"on_commit": CommitRecorder(_PLANNER, key, nothing)}
         begun = self._gate.enforcer.submit(
-            plan.steps[0], planner=_PLANNER, evidence=plan.evidence, context=self._context, **keep
+            plan.steps[0], planner=_PLANNER, evidence=plan.evidence, context=self._context, **hook
         )
         decided = perf_counter_ns()
         if isinstance(begun, Report):

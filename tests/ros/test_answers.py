@@ -166,7 +166,7 @@ def test_a_goal_whose_answer_comes_too_late_is_aborted_and_not_left_open(fresh: 
         goal = Goal(planner, planner.client(Fibonacci, "/llm/fibonacci"), Fibonacci.Goal(order=3))
         until(lambda: arm.goals, "the goal")
         # the planners' thread is at something else for longer than a goal waits for it
-        fresh.mediator._inlets[0]._spinner.run(time.sleep, BIND_S + 1)
+        fresh.mediator._servers[0]._spinner.run(time.sleep, BIND_S + 1)
         arm.answers.set()
         until(lambda: arm.canceled == [True], "its end")
         assert goal.accepted

@@ -517,7 +517,7 @@ def test_a_server_that_the_graph_hides_is_told_to_cancel_all_the_same(
     with fresh.inside():
         arm = fresh.robot.arm
         assert asked(fresh, 3).accepted
-        outlet: Any = fresh.mediator.body.outlets["arm"]
+        outlet: Any = fresh.mediator.body.proxies["arm"]
         outlet._canceler.service_is_ready = lambda: False  # what the graph says from now on
         with GateClient.connect(gate.stop_socket, role=ClientRole.PLANNER) as lane:
             assert lane.stop()["stopped"] is True
@@ -556,7 +556,7 @@ def test_a_server_that_comes_or_comes_back_is_told_to_cancel_whatever_it_runs(
             asked.append(request.goal_info)
             return answer
 
-        outlet: Any = fresh.mediator.body.outlets["arm"]
+        outlet: Any = fresh.mediator.body.proxies["arm"]
         for life in ("one", "another"):
             until(lambda: not outlet._is_settled, "the node knows that no server is there")
             robot = fresh.add(Peer(life, fresh.domain))
