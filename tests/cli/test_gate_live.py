@@ -32,6 +32,7 @@ from authguard_r.keys.trust import read_trust
 from authguard_r.wire.messages import ClientRole, Mode
 from fixtures import scenarios
 from fixtures.gate_process import AUTHGUARD, RunningGate, until
+from fixtures.json_lines import whole_lines
 
 REPLIES = scenarios.HOSPITAL / "replies"
 #: Too fast: one bound, which a signature can raise.
@@ -186,8 +187,8 @@ def suspended(session: Desk) -> dict[str, Any] | None:
 
 def journal(session: Desk) -> list[dict[str, Any]]:
     """Return what the gates of this desk wrote to standard error, one after the other."""
-    lines = session.gate.said().splitlines()
-    return [json.loads(line) for line in lines if line.startswith('{"time_ms"')]
+    texts = session.gate.logs().values()
+    return [line for text in texts for line in whole_lines(text, begins='{"time_ms"')]
 
 
 @pytest.mark.smoke

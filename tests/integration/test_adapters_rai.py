@@ -9,7 +9,6 @@ Source: lessons L1, L16; docs/spec/adapters.md
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 from collections.abc import Iterator
@@ -22,6 +21,7 @@ from authguard_r.wire.messages import Mode
 from fixtures import scenarios
 from fixtures.gate_process import RunningGate, environment, until
 from fixtures.guarded_tools import SCOPE
+from fixtures.json_lines import whole_lines
 from fixtures.packaged_robots import asked_in, gate_of, run_in
 
 ENVIRONMENT = os.environ.get("AUTHGUARD_RAI", "")
@@ -84,7 +84,7 @@ def arrived(tmp_path: Path, ros: dict[str, str]) -> Iterator[Path]:
 
 
 def lines(file: Path) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in file.read_text().splitlines()]
+    return whole_lines(file.read_bytes())
 
 
 def options(gate: RunningGate) -> list[object]:

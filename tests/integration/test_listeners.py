@@ -6,7 +6,6 @@ Source: docs/spec/listeners.md
 
 from __future__ import annotations
 
-import json
 import socket
 import ssl
 import subprocess
@@ -221,5 +220,5 @@ def test_with_few_files_it_takes_fewer_connections(gate: RunningGate, tmp_path: 
     with serving(gate, how=how) as served, crowd("idle", served.url, 400):
         assert served.get("/v1/status").status_code == 200
         assert open_files(served.process.pid) < 200
-        lines = [json.loads(line) for line in served.text().splitlines()]
+        lines = served.lines()
         assert {"crowded"} <= {line["event"] for line in lines}

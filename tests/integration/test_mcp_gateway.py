@@ -59,6 +59,7 @@ from fixtures import scenarios
 from fixtures.estimator import attesting
 from fixtures.gate_process import AUTHGUARD, PATIENCE_S, RunningGate, authguard, environment, until
 from fixtures.guarded_tools import confirm_stop, often
+from fixtures.json_lines import whole_lines
 from fixtures.scenarios import ROOT
 from fixtures.shared_gate import SharedGate
 from programs import courier_mcp_server
@@ -137,7 +138,7 @@ class DemoGateway:
 
     def calls(self) -> list[dict[str, Any]]:
         """Return what reached the server."""
-        return [json.loads(line) for line in self.calls_file.read_text().splitlines()]
+        return whole_lines(self.calls_file.read_bytes())
 
     def words(self, *faults: str, more: tuple[str, ...] = ()) -> list[str]:
         """Return the gateway's command, as a planner's host would start it."""
@@ -441,7 +442,7 @@ def test_a_server_whose_tools_changed_is_not_used(
 
     def changed() -> bool:
         said.append(capfd.readouterr().err)
-        lines = [json.loads(line) for line in "".join(said).splitlines()]
+        lines = whole_lines("".join(said))
         return any((line["event"], line.get("tools")) == ("changed", "scan_more") for line in lines)
 
     async def begin(*faults: str) -> None:

@@ -26,6 +26,7 @@ from authguard_r.normalize.shipped import binding_source
 from fixtures import scenarios
 from fixtures.estimator import attesting
 from fixtures.gate_process import AUTHGUARD, RunningGate
+from fixtures.json_lines import whole_lines
 
 ENVIRONMENT = os.environ.get("AUTHGUARD_ROS_MCP", "")
 pytestmark = pytest.mark.skipif(
@@ -101,7 +102,7 @@ def asked(
 
 def moved(arrived: Path) -> list[dict[str, Any]]:
     """Return what reached the robot but for questions about itself."""
-    lines = [json.loads(line) for line in arrived.read_text().splitlines()]
+    lines = whole_lines(arrived.read_bytes())
     return [line for line in lines if not line.get("service", "").startswith("/rosapi/")]
 
 

@@ -45,6 +45,7 @@ from authguard_r.wire.messages import (
 )
 from fixtures import commands, scenarios
 from fixtures.gate_process import authguard, environment
+from fixtures.json_lines import whole_lines
 from integration import scripted_gate
 from integration.scripted_gate import (
     PATIENCE,
@@ -123,8 +124,7 @@ class RobotSetup:
     def said(self, process: subprocess.Popen[str], first: int = 0) -> list[dict[str, str]]:
         """Return what a process has logged, from a line on."""
         number = self.processes.index(process)
-        lines = (self.folder / f"{number}.err").read_text().splitlines()
-        return [json.loads(line) for line in lines[first:]]
+        return whole_lines((self.folder / f"{number}.err").read_bytes())[first:]
 
     def sensors(self) -> Sensors:
         self.listeners.append(Sensors(self.run / "sensors.sock"))

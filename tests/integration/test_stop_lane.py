@@ -25,6 +25,7 @@ from authguard_r.wire.frames import frame
 from authguard_r.wire.messages import ClientRole, Kind
 from authguard_r.wire.stop_limits import LIMITS
 from fixtures import estop_fixtures, scenarios
+from fixtures.json_lines import whole_lines
 
 FLOODS, EACH, OWN = 4, 500, 40
 
@@ -48,7 +49,7 @@ def planner(run: Path, name: str = "planner") -> estop_fixtures.Client:
 
 
 def spooled(run: Path, name: str = SPOOL) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in (run / name).read_bytes().splitlines()]
+    return whole_lines((run / name).read_bytes())
 
 
 def assert_stops(run: Path) -> None:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 from pathlib import Path
@@ -21,6 +20,7 @@ from authguard_r.estop.supervisor import EStopSupervisor
 from authguard_r.normalize import Step
 from authguard_r.server.robot_lock import hold_robot
 from fixtures import estop_fixtures, scenarios, templates
+from fixtures.json_lines import whole_lines
 from fixtures.templates import instance, token
 from integration.stop_faults import leaves_a_stop
 from unit.server.test_robot_lock import fill, names_of
@@ -36,8 +36,7 @@ def test_l35_a_stop_that_a_frozen_process_was_sent_is_carried_out_when_it_goes_o
         leaves_a_stop(files.run / SOCKET, "nobody waits")
         os.kill(pid, signal.SIGCONT)
         spool = files.run / FIRST_SPOOL
-        (line,) = estop_fixtures.until(lambda: spool.read_bytes().splitlines(), "the record")
-    said = json.loads(line)
+        (said,) = estop_fixtures.until(lambda: whole_lines(spool.read_bytes()), "the record")
     assert (said["why"], said["role"]) == ("nobody waits", "operator")
     assert said["stood_ms"] is not None
 

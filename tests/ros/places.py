@@ -28,6 +28,7 @@ from authguard_r.sim.sight import snapshot_of
 from authguard_r.sim.world import initial_state
 from fixtures import scenarios
 from fixtures.gate_process import RunningGate, environment, module, until
+from fixtures.json_lines import whole_lines
 from ros.graph import PATIENCE_S, Peer
 from ros.hospital import HERE
 
@@ -196,8 +197,7 @@ class Running:
 
     def lines(self) -> list[dict[str, Any]]:
         """Return every whole line of it that is one of the log's."""
-        whole, _, _ = self.said().rpartition("\n")
-        return [json.loads(line) for line in whole.splitlines() if line.startswith("{")]
+        return whole_lines(self.said(), begins="{")
 
     @property
     def is_alive(self) -> bool:

@@ -317,7 +317,7 @@ def test_a_plan_that_moves_is_ended_by_a_stop_and_its_planner_is_told(
     until(lambda: 0.2 in base.speeds, "the velocity")
     with GateClient.connect(gate.stop_socket, role=ClientRole.PLANNER) as lane:
         assert lane.stop()["stopped"] is True
-    assert base.speeds[-1] == 0.0
+    until(lambda: base.speeds[-1] == 0.0, "zero")
     assert writer.over(text)[-2]["execution"] == "aborted"
     assert "ended" not in {one["news"] for one in writer.over(text)[:-2]}
 

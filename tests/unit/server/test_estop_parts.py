@@ -57,6 +57,7 @@ from authguard_r.wire.frames import frame
 from authguard_r.wire.messages import PROTOCOL, SUSPENDING, ClientRole, Kind, StopHeard
 from authguard_r.wire.stop_limits import LIMITS
 from fixtures import estop_fixtures, scenarios
+from fixtures.json_lines import whole_lines
 from fixtures.limits import bounded
 
 FULL = "/dev/full"
@@ -96,7 +97,7 @@ def serving(
 
 
 def spooled(run: Path, name: str = SPOOL) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in (run / name).read_bytes().splitlines()]
+    return whole_lines((run / name).read_bytes())
 
 
 def counted(run: Path) -> int:
