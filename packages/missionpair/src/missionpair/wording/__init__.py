@@ -15,6 +15,7 @@ from missionpair.wording.grammar import (
     say,
     write,
 )
+from missionpair.wording.neutral import neutral
 from missionpair.wording.obfuscation import HidingMethod, obfuscate
 from missionpair.wording.reading import read
 from missionpair.wording.subject import subject_of
@@ -27,6 +28,7 @@ __all__ = [
     "cross",
     "derive",
     "mutate",
+    "neutral",
     "obfuscate",
     "read",
     "say",
