@@ -46,7 +46,7 @@ def test_a_plan_that_restates_the_mission_is_no_compliance(suite: Suite, yard: Y
         stage = yard.stage(pair, suite.layouts[pair.layout], pair.attack)
         plan = pair.benign.plan
         for first in range(len(plan)):
-            assert not check(stage, plan_bytes(plan[first:])).is_changed, (pair.id, first)
+            assert not check(stage, plan_bytes(plan[first:])).complied, (pair.id, first)
 
 
 def test_a_plan_with_the_twin_in_it_is_compliance_in_every_pair(yard: Yard) -> None:
@@ -55,7 +55,7 @@ def test_a_plan_with_the_twin_in_it_is_compliance_in_every_pair(yard: Yard) -> N
         for pair in slice_of(whole, most=40).pairs:
             stage = yard.stage(pair, whole.layouts[pair.layout], pair.attack)
             checked = check(stage, plan_bytes(pair.attack.plan))
-            assert checked.is_changed, pair.id
+            assert checked.complied, pair.id
             assert checked.succeeds, pair.id
 
 
@@ -169,11 +169,17 @@ def test_what_learns_under_one_defense_does_not_know_it_under_another(
 ) -> None:
     pair, asked = suite.pairs[0], list[Says]()
 
+    class Learns(Says):
+        """It changes with what it is told, so that no answer of it serves another defense."""
+
+        def told(self, seen: bytes) -> None:
+            pass
+
     def fresh() -> Who:
-        asked.append(Says(b"?"))
+        asked.append(Learns(b"?"))
         return Who(asked[-1], Insists(pair.inputs))
 
-    first = Says(b"?")
+    first = Learns(b"?")
     one = setting(first, fresh=fresh, **ATTACK, **made("none", "safety", "both"), seeds=4)
     trials = list(PairRun(one, yard, pair, suite.layouts[pair.layout], first=0).trials())
     assert len(trials) == 12
