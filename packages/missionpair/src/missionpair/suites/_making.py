@@ -5,15 +5,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from random import Random
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from missionpair import domains, variants
-from missionpair.layouts import DomainWords, Ground, layouts_of
+from missionpair.layouts import DomainWords, Ground, RobotWords, call_of, layouts_of
 from missionpair.missions.draw import UnfitDraw
-from missionpair.pair import Input, Layout, Pair, Suite
+from missionpair.pair import Input, Layout, Pair, Suite, Value
 from missionpair.registry import make, names
 from missionpair.suites._canonical import canonical
 from missionpair.variants._twin import AttackVariant, AttackVariants
+from missionpair.variants.parameter import most_of
 from missionpair.wording import coordinate, say
 from missionpair.words import Category, Channel, Domain, Family
 
@@ -140,7 +141,7 @@ def pair_of(
         benign=twin.benign,
         attack=twin.scenario,
         update=twin.update,
-        inputs=spoken(twin, cell.family, channels, seed),
+        inputs=spoken(twin, cell, channels, seed),
         violates=twin.violates,
         reasons=twin.reasons or twin.violates,
         commissioned=twin.commissioned,
@@ -148,14 +149,30 @@ def pair_of(
 
 
 def spoken(
-    twin: AttackVariant, family: Family, channels: tuple[Channel, ...], seed: int
+    twin: AttackVariant, cell: Cell, channels: tuple[Channel, ...], seed: int
 ) -> tuple[Input, ...]:
     """Return what reaches the planner: the one place that asks for wording."""
+    words = twin.errand.ground.words
+    more: dict[str, Any] = {
+        "authorized": twin.authorized,
+        "seed": seed,
+        "category": cell.category,
+        "most": most_said(words, words.robots[twin.robot]),
+    }
     if len(channels) == 2:
         both = (channels[0], channels[1])
-        return coordinate(family, both, twin.plan, authorized=twin.authorized, seed=seed)
-    text = say(family, channels[0], twin.plan, authorized=twin.authorized, seed=seed)
-    return (Input(channels[0], text),)
+        return coordinate(cell.family, both, twin.plan, **more)
+    return (Input(channels[0], say(cell.family, channels[0], twin.plan, **more)),)
+
+
+def most_said(words: DomainWords, robot: RobotWords) -> dict[str, Value]:
+    """Return the most of each argument, as a planner's call has it: `at full speed` is said."""
+    most = {f"params.{name}": value for name, value in most_of(robot).items()}
+    return {
+        name: value
+        for tool in words.tools.values()
+        for name, value in call_of(tool, dict(most)).arguments.items()
+    }
 
 
 def suite_of(name: str, version: int, makers: Makers, pairs: list[Pair]) -> Suite:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 from missionpair.briefing import OfferedTool
-from missionpair.pair import WordedCall
+from missionpair.pair import Value, WordedCall
 from missionpair.wording.lexing import Text
 from missionpair.wording.obfuscation import plain
 from missionpair.wording.outright import called_outright
@@ -52,17 +52,23 @@ def read(
         places: spellings of places.
         things: spellings of things.
     """
-    offered = tuple([(tool.name, tuple(tool.parameters.get("properties", ()))) for tool in tools])
+    offered = tuple([(tool.name, _ends(tool)) for tool in tools])
     return _read(_vocabulary(offered, places, things), text)
+
+
+def _ends(tool: OfferedTool) -> tuple[tuple[str, Value | None], ...]:
+    """Return each argument of a tool with the most that it takes, where the tool says so."""
+    properties = tool.parameters.get("properties", {})
+    return tuple((name, schema.get("maximum")) for name, schema in properties.items())
 
 
 @lru_cache(maxsize=1024)
 def _vocabulary(
-    offered: tuple[tuple[str, tuple[str, ...]], ...],
+    offered: tuple[tuple[str, tuple[tuple[str, Value | None], ...]], ...],
     places: tuple[str, ...],
     things: tuple[str, ...],
 ) -> Vocabulary:
-    return Vocabulary(dict(offered), places, things)
+    return Vocabulary({name: dict(ends) for name, ends in offered}, places, things)
 
 
 @lru_cache(maxsize=8192)

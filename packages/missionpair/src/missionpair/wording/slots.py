@@ -69,6 +69,10 @@ def _next(
         if number in found:
             continue
         begin = place if slot.says is Says.QUOTE else _past(text, place, _QUOTES)
+        most = bound.most[number]
+        for phrase in _split(slot.phrases) if most is not None else ():
+            if text.has(begin, phrase):
+                return number, most, begin + len(phrase)
         for mark in _split(slot.marks):
             if text.has(begin, mark):
                 read = _value(text, begin + len(mark), slot)

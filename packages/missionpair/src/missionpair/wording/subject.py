@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from missionpair.wording.productions import PRODUCTIONS
+from missionpair.wording.productions import PRODUCTIONS, STYLES, claims_of
 from missionpair.words import Family
 
 
@@ -34,9 +34,11 @@ def subject_of(texts: Sequence[str], family: Family, names: Iterable[str]) -> st
 
 def _sentences(family: Family) -> tuple[str, ...]:
     """Return every sentence that may name what the mission has."""
+    scenes = PRODUCTIONS.scenes[family]
     return (
-        *PRODUCTIONS.claims[family].values(),
-        *PRODUCTIONS.former.values(),
-        *PRODUCTIONS.scenes[family].values(),
-        *PRODUCTIONS.confirmations.values(),
+        *claims_of("", family, same=False),
+        *claims_of("", family, same=True),
+        *(text for style in STYLES.values() for text in style.former),
+        *(*scenes.against, *scenes.same, *scenes.any),
+        *PRODUCTIONS.confirmations,
     )
