@@ -26,7 +26,7 @@ from missionpair.variants._twin import (
 from missionpair.words import Category, Domain, Family
 
 #: What is recorded at most by default: milliseconds, bytes.
-RECORD = (2_000, 8_000_000)
+RECORD = (2_000, 3_000_000)
 
 
 def make() -> AttackVariants:

@@ -16,11 +16,19 @@ from msgspec.structs import replace
 
 from missionpair.pair import Input, Value, WordedCall
 from missionpair.wording.asks import NOTHING, put
-from missionpair.wording.productions import PRODUCTIONS, STYLES, claims_of
+from missionpair.wording.productions import (
+    CLAIMS,
+    PRODUCTIONS,
+    STYLES,
+    WRITTEN,
+    sentences_of,
+)
 from missionpair.words import Channel, Family
 
 #: How many ways to choose verbs are distinguished; each ask takes the next verb of its frame.
 _VERBS = tuple(str(number) for number in range(60))
+#: Of three texts two are put together, and one was written as a whole.
+_FORMS = ("composed", "composed", "written")
 #: Slots that are sentences of their own.
 _SAID = ("claim", "authority", "reason", "urgency", "former", "closing")
 
@@ -50,7 +58,9 @@ def slots(
     """Return every slot of a text with what may stand there."""
     style = STYLES[channel]
     return {
-        "claim": claims_of(category, family, same=same),
+        "form": _FORMS,
+        "written": sentences_of(WRITTEN, category, family, same=same),
+        "claim": sentences_of(CLAIMS, category, family, same=same),
         "authority": ("", *style.authority),
         "reason": ("", *style.reason),
         "urgency": ("", *style.urgency),
@@ -132,6 +142,9 @@ def write(
     if not asks:
         raise ValueError("a text that asks for nothing is no attack")
     chosen = derivation.choices
+    if chosen["form"] == "written":
+        done = _about(chosen["written"], authorized).replace("{do}", _asked(asks, derivation, most))
+        return _set(derivation, done if done[-1] in ".!?" else f"{done}.", authorized)
     filled = {slot: _about(chosen[slot], authorized) for slot in _SAID}
     filled["ask"] = ask_text(asks, derivation, most)
     order = PRODUCTIONS.arrangement[chosen["arrangement"]]
@@ -205,20 +218,29 @@ def ask_text(
     asks: Sequence[WordedCall], derivation: Derivation, most: Mapping[str, Value] = NOTHING
 ) -> str:
     """Return the sentences that ask for the calls, in order."""
-    chosen = derivation.choices
-    manner = PRODUCTIONS.manner[chosen["manner"]]
-    first, later, last = PRODUCTIONS.joining[chosen["joining"]]
-    turn = int(chosen["verbs"])
+    manner = PRODUCTIONS.manner[derivation.choices["manner"]]
+    return _capital(_asked(asks, derivation, most, manner)) + "."
+
+
+def _asked(
+    asks: Sequence[WordedCall],
+    derivation: Derivation,
+    most: Mapping[str, Value],
+    manner: str = "{ask}",
+) -> str:
+    """Return what asks for the calls, without an end; the first one is put in the manner."""
+    first, later, last = PRODUCTIONS.joining[derivation.choices["joining"]]
+    turn = int(derivation.choices["verbs"])
     text = ""
     for number, call in enumerate(asks):
         words = put(call, turn=turn + number, most=most)
         if number == 0:
-            text = first + manner.replace("{ask}", words) if len(asks) > 1 else ""
-            text = text or manner.replace("{ask}", words)
+            put_so = manner.replace("{ask}", words)
+            text = first + put_so if len(asks) > 1 else put_so
         else:
             joint = last if number == len(asks) - 1 else later
             text += joint + (_capital(words) if joint == ". " else words)
-    return _capital(text) + "."
+    return text
 
 
 def _set(derivation: Derivation, body: str, authorized: str) -> str:

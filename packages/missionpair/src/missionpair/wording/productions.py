@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The sentences of the grammar: what an attack claims, how one speaks on a channel, what joins it.
 
-They stand in `claims.toml`, `styles.toml` and `productions.toml`. `{it}` stands for what the
+They stand in `claims.toml`, `styles.toml` and `productions.toml`, whole texts in `written.toml`.
+`{it}` stands for what the
 mission has there. No sentence but an ask has a verb that is read as an ask, unless it is denied.
 Spec page: docs/spec/missionpair-access.md#wording
 """
@@ -110,19 +111,24 @@ def _expanded(value: object) -> object:
 
 
 PRODUCTIONS = _read("productions.toml", Productions)
+#: Whole texts, by category and family.
+WRITTEN = _read("written.toml", dict[str, dict[Family, Sided]])
 #: What is claimed, by category (`combined` is one) and family.
 CLAIMS = _read("claims.toml", dict[str, dict[Family, Sided]])
 STYLES = _read("styles.toml", dict[Channel, Style])
 
 
-def claims_of(category: str, family: Family, *, same: bool) -> tuple[str, ...]:
-    """Return what an attack may claim.
+def sentences_of(
+    held: dict[str, dict[Family, Sided]], category: str, family: Family, *, same: bool
+) -> tuple[str, ...]:
+    """Return what an attack may say.
 
     Args:
+        held: `CLAIMS` or `WRITTEN`.
         category: what it changes; empty for one whose category is not known: then the claims of
             every category that the family is a reason for.
         family: what it claims.
         same: it asks for the very place or thing that the mission has there.
     """
-    those = [CLAIMS[category]] if category else CLAIMS.values()
+    those = [held[category]] if category else held.values()
     return tuple(text for one in those if family in one for text in one[family].of(same=same))

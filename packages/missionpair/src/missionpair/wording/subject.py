@@ -8,7 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from missionpair.wording.productions import PRODUCTIONS, STYLES, claims_of
+from missionpair.wording.productions import (
+    CLAIMS,
+    PRODUCTIONS,
+    STYLES,
+    WRITTEN,
+    sentences_of,
+)
 from missionpair.words import Family
 
 
@@ -36,8 +42,13 @@ def _sentences(family: Family) -> tuple[str, ...]:
     """Return every sentence that may name what the mission has."""
     scenes = PRODUCTIONS.scenes[family]
     return (
-        *claims_of("", family, same=False),
-        *claims_of("", family, same=True),
+        *(
+            text
+            for same in (False, True)
+            for held in (CLAIMS, WRITTEN)
+            for long in sentences_of(held, "", family, same=same)
+            for text in long.split("{do}")
+        ),
         *(text for style in STYLES.values() for text in style.former),
         *(*scenes.against, *scenes.same, *scenes.any),
         *PRODUCTIONS.confirmations,
