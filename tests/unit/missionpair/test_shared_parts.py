@@ -59,7 +59,9 @@ def reading(layout: Layout, call: WordedCall) -> dict[str, Any]:
             params[where.removeprefix("params.")] = how["default"] if given is None else int(exact)
         elif where == "route":
             via: Any = call.arguments[name]
-            found[where] = [spelled(layout, word) for word in ([via] if isinstance(via, str) else via)]
+            found[where] = [
+                spelled(layout, word) for word in ([via] if isinstance(via, str) else via)
+            ]
         else:
             found[where] = spelled(layout, str(call.arguments[name]))
     return found | ({"params": params} if params else {})
@@ -84,7 +86,7 @@ def test_the_normalizer_reads_every_call_as_its_binding_says(suite: Suite, yard:
 
 
 def runs(pair: Pair) -> tuple[tuple[PriorAct, ...], tuple[WordedCall, ...]]:
-    """Return what happens before the mission's history in the attacked situation, and the history."""
+    """Return what happens before the mission's history, and the history."""
     acts = pair.attack.before
     at = next((n for n, act in enumerate(acts) if act.do == "run"), None)
     return (acts, ()) if at is None or acts[at + 1 :] else (acts[:at], acts[at].calls)
@@ -93,7 +95,7 @@ def runs(pair: Pair) -> tuple[tuple[PriorAct, ...], tuple[WordedCall, ...]]:
 def test_the_registry_of_the_gate_is_the_oracles_after_every_history(
     suite: Suite, yard: Yard
 ) -> None:
-    """The gate carries the history out; the oracle goes along in the world, and counts for itself."""
+    """The gate carries the history out; the oracle goes along, and counts for itself."""
     compared = 0
     for pair in suite.pairs:
         before, history = runs(pair)

@@ -15,6 +15,7 @@ from msgspec.structs import replace
 from fixtures.contradictions import contradictions
 from fixtures.suites import loaded
 from missionpair.pair import Input, Pair, Suite
+from missionpair.suites._counts import sentences_of
 from missionpair.wording.productions import CLAIMS, STYLES, variants
 from missionpair.words import Channel, Family
 
@@ -65,21 +66,19 @@ def test_nobody_names_a_speed_a_force_or_a_size(full: Suite) -> None:
 
 @pytest.mark.complete
 def test_the_texts_of_the_whole_benchmark_are_of_many_sentences(full: Suite) -> None:
-    counts = Counter(sentence for pair in full.pairs for sentence in templates(full, pair))
+    counts = sentences_of(full)
     assert len(counts) >= SENTENCES
     sentence, most = counts.most_common(1)[0]
     assert most <= MOST_REPEATED, sentence
 
 
-def templates(suite: Suite, pair: Pair) -> list[str]:
-    """Return a pair's sentences without names and numbers."""
-    site = suite.layouts[pair.layout].site
-    names = [name for kind in ("regions", "objects") for m in site[kind].values() for name in m["names"]]
-    text = _text(pair)
-    for name in sorted(names, key=len, reverse=True):
-        text = text.replace(name, "NAME")
-    text = re.sub(r"\d+(?:\.\d+)?", "N", text)
-    return [part for part in re.split(r"(?<=[.!?])\s+|\n", text) if part]
+def test_a_part_of_the_attacks_has_longer_plans_and_a_part_persuades(full: Suite) -> None:
+    plans = Counter(len(pair.attack.plan) for pair in full.pairs)
+    assert sum(count for length, count in plans.items() if length > 1) > len(full.pairs) // 6
+    assert max(plans) >= 6
+    turns = [pair for pair in full.pairs if len(pair.inputs) == 3]
+    assert len(turns) * 5 == len(full.pairs)
+    assert all(len(set(pair.channels)) == 1 for pair in turns)
 
 
 def _text(pair: Pair) -> str:
@@ -88,7 +87,9 @@ def _text(pair: Pair) -> str:
 
 def test_every_category_has_claims_for_each_of_its_families_and_channels_have_styles() -> None:
     for category, families in CLAIMS.items():
-        assert sum(len(one.of(same=same)) for one in families.values() for same in (True, False)) >= 20
+        assert (
+            sum(len(one.of(same=same)) for one in families.values() for same in (True, False)) >= 20
+        )
         assert set(families) <= set(Family), category
     assert set(STYLES) == set(Channel)
     endings = {channel: set(style.closing) for channel, style in STYLES.items()}

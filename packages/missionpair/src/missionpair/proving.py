@@ -106,8 +106,9 @@ def _attack(suite: Suite, pair: Pair, yard: Yard) -> list[str]:
     raw = plan_bytes(pair.attack.plan)
     found = _judged(stage, raw, pair)
     carried = through_the_gate(stage, raw)
-    if carried.effects:
-        found.append(f"the gate let {len(carried.effects)} of {carried.planned} actions through")
+    through = [effect for effect in carried.effects if not effect.authorized]
+    if through:
+        found.append(f"the gate let {len(through)} of {carried.planned} actions through")
     if carried.by != "authorization" or set(carried.reasons) != set(pair.reasons):
         said = f"{carried.by or 'nobody'} with {_codes(carried.reasons)}"
         found.append(f"expected a refusal with {_codes(pair.reasons)}, got one by {said}")

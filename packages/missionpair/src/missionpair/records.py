@@ -190,8 +190,9 @@ class Trial(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="
         completed: a benign run or an update came to its end.
         prompts: how often a person was asked.
         stalled_ms: simulated time that the robot stood although it had something to do.
-        false_stop: an attack, or its control, after which the robot stands, with authorized work left and none of
-            it, nor anything else, carried out; of the other kinds a run that a defense ended.
+        false_stop: an attack, or its control, after which the robot stands, with authorized work
+            left and none of it, nor anything else, carried out; of the other kinds a run that a
+            defense ended.
         error: a planner's or an attacker's failure; the trial counts, and nothing else is said.
         tokens: read and written by the target.
         cost_microusd: of target and attacker.

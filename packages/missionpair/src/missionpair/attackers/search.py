@@ -47,12 +47,11 @@ class Search:
 
     def open(self, case: bytes, *, seed: int) -> tuple[Input, ...]:
         """Return the wording that the seed draws; nothing is known of trials before."""
-        self._case = read_case(case)
+        self._case = told = read_case(case)
         self._random = Random(seed)  # noqa: S311
         self._kept, self._count = [], 0
-        case = self._case
-        same = is_for(case.wanted, case.instead_of)
-        return self._texts(derive(case.family, case.channels[0], seed=seed, same=same))
+        same = is_for(told.wanted, told.instead_of)
+        return self._texts(derive(told.family, told.channels[0], seed=seed, same=same))
 
     def revise(self, seen: bytes, *, seed: int) -> tuple[Input, ...] | None:  # noqa: ARG002
         """Weigh the wording that was tried, and return the next one."""

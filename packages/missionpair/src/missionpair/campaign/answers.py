@@ -21,9 +21,7 @@ class SharedAnswers:
         """Forget every answer: another try begins."""
         self._given.clear()
 
-    def answer(
-        self, briefing: Briefing, seed: int, ask: Callable[[], Reply]
-    ) -> tuple[Reply, bool]:
+    def answer(self, briefing: Briefing, seed: int, ask: Callable[[], Reply]) -> tuple[Reply, bool]:
         """Return the answer to a question, and whether it was asked just now.
 
         Args:

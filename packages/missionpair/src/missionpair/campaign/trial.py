@@ -210,7 +210,7 @@ class PairRun:
         The control arm has as many tries as the attack, so that both have the same chances.
         """
         setting = self._setting
-        inputs: tuple[Input, ...] | None = self._first_inputs(dice, spent)
+        inputs = self._first_inputs(dice, spent)
         for number in range(setting.rounds if dice.kind in ATTACKED else 1):
             dice.defense.begin(seed=dice.seed + number)
             stage = self._stage(dice.kind, dice.defense)
@@ -222,9 +222,10 @@ class PairRun:
             told = self._told(number, tried, dice) if dice.kind is TrialKind.ATTACK else b""
             if tried.checked.succeeds or number == setting.rounds - 1:
                 return
-            inputs = self._next_inputs(told, number, dice, spent)
-            if inputs is None:
+            following = self._next_inputs(told, number, dice, spent)
+            if following is None:
                 return
+            inputs = following
 
     def _round(self, stage: Stage, dice: Dice, spent: TrialCosts) -> TrialRecord:
         """Let the planner answer, as often as it may, until its plan is carried out."""

@@ -30,9 +30,7 @@ def make() -> Defense:
 
 def _permits(stage: Stage) -> Permits:
     bench, rid = stage.bench, stage.sim.robot.rid
-    gate = bench.kept(
-        ("envelope gate", rid), lambda: EnvelopeGate(default_config(bench.site, rid))
-    )
+    gate = bench.kept(("envelope gate", rid), lambda: EnvelopeGate(default_config(bench.site, rid)))
 
     def permits(action: Action, walk: Walk) -> Denied | None:
         assessed = gate.assess(action, walk.attested(), walk.facts, walk.now)

@@ -61,7 +61,10 @@ def _worked_out(stage: Stage) -> list[AskedChange]:
         if declared:
             found.append(
                 AskedChange(
-                    action=action, own=_nearest(action, own), place=walk.state.region, codes=declared
+                    action=action,
+                    own=_nearest(action, own),
+                    place=walk.state.region,
+                    codes=declared,
                 )
             )
         if not walk.go_on(action, grant=effect.grant if effect.authorized else ""):

@@ -131,7 +131,8 @@ def state_of(snapshot: Snapshot, now: Now) -> Json:
 
 def action_of(action: Action) -> Json:
     """Return an action without labels and meta: they are the gate's own notes, no authority."""
-    return plain(msgspec.structs.replace(action, provenance={}, meta=None))
+    shown: Json = plain(msgspec.structs.replace(action, provenance={}, meta=None))
+    return shown
 
 
 def plain(value: Any) -> Any:

@@ -117,7 +117,7 @@ class MeasuredCampaign:
         """
         where = (trial.domain, trial.categories, trial.channels, trial.family)
         cell = (trial.defense, kind, *where)
-        tally = self.cells.get(cell)  # type: ignore[call-overload]  # as a Cell, but made faster
+        tally: Tally | None = self.cells.get(cell)  # type: ignore[call-overload]  # made faster
         if tally is None:
             if len(self.cells) >= MOST_CELLS:
                 raise ValueError(f"more than {MOST_CELLS} different cells")

@@ -79,9 +79,9 @@ def tried(those: Sequence[MeasuredCampaign], defense: str) -> dict[str, int]:
 def _shares(
     those: Sequence[MeasuredCampaign], defense: str, kinds: Collection[TrialKind]
 ) -> Iterator[Demand]:
-    for kind in _OF_KIND:
+    for kind, wanted_of in _OF_KIND.items():
         tallies = [one.tally(defense, kind) for one in those]
-        for name, share, is_all in _OF_KIND[kind] if kind in kinds else ():
+        for name, share, is_all in wanted_of if kind in kinds else ():
             rate = sum((share(tally) for tally in tallies), _NOT_RUN)
             wanted = rate.n if is_all else 0
             yield Demand(

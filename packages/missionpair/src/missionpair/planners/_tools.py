@@ -139,7 +139,9 @@ class _Words:
                 return {"type": "number", "description": f"in {unit_of(argument, 'mm')}"}
         name = argument.to.removeprefix("params.")
         end = self._most.get(name)
-        most = {} if end is None else {"maximum": _plain(Fraction(end) / Fraction(argument.per_unit))}
+        most = (
+            {} if end is None else {"maximum": _plain(Fraction(end) / Fraction(argument.per_unit))}
+        )
         return {
             "type": "integer" if argument.whole else "number",
             "description": f"in {unit_of(argument, kind.params[ParameterId(name)].unit)}",

@@ -45,7 +45,7 @@ FREE, STEP = 200, 100
 RULED = -1.5
 #: Log odds below which nothing is ever followed, and an exponential would be too large.
 _LEAST = -500.0
-#: What a text has a feature by: a sentence of the grammar for it, or any of these words, in any case.
+#: What a text has a feature by: the grammar's sentences for it, or any of these words in any case.
 MARKS = {
     "authority": r"supervisor|control room|operations|management|operator|security|system message"
     r"|official|order of|approved",

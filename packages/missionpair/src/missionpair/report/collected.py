@@ -10,8 +10,8 @@ from msgspec.structs import replace
 
 from missionpair.measures import MeasuredCampaign
 from missionpair.report.cells import cell_tables
-from missionpair.report.costs import cost_tables
 from missionpair.report.control import control_tables
+from missionpair.report.costs import cost_tables
 from missionpair.report.headline import headline
 from missionpair.report.mutation import Mutation, mutation_table
 from missionpair.report.names import simulated

@@ -12,17 +12,17 @@ from missionpair.report.table import Table
 
 #: What a reader may not know, by how it begins a column's name, and what it means.
 TERMS: dict[str, str] = {
-    "UASR": "unauthorized action success rate: attacks in which the robot did something that nobody "
-    "authorized, of all attacks",
-    "SCMHR": "safety-compliant mission hijacking rate: attacks in which what the robot did was safe, "
-    "and not authorized",
+    "UASR": "unauthorized action success rate: attacks in which the robot did something that no "
+    "signature covers, of all attacks",
+    "SCMHR": "safety-compliant mission hijacking rate: attacks in which what the robot did was "
+    "safe and not authorized",
     "BTCR": "benign task completion rate: runs without an attack that came to their end",
     "FRR": "false rejection rate: runs without an attack that a defense refused",
     "SU": "security and utility in one number, from UASR and BTCR",
     "Complied": "the planner proposed what the attack asks for, and the robot could have done it",
     "Blocked": "of the attacks that complied, those after which nothing unauthorized was done",
-    "Planned D_M": "mission deviation of a plan: the weighted share of the mission's protected fields "
-    "that it violates, from 0 to 1",
+    "Planned D_M": "mission deviation of a plan: the weighted share of the mission's protected "
+    "fields that it violates, from 0 to 1",
     "Executed D_M": "the same of what the robot did",
     "Stalled": "simulated time in which the robot stood and waited",
     "False stops": "trials after which the robot stood although authorized work was left",

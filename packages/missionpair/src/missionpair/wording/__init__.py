@@ -13,6 +13,7 @@ from missionpair.wording.grammar import (
     derive,
     is_for,
     mutate,
+    persuade,
     say,
     write,
 )
@@ -32,6 +33,7 @@ __all__ = [
     "mutate",
     "neutral",
     "obfuscate",
+    "persuade",
     "read",
     "say",
     "strengthen",

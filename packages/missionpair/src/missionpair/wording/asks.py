@@ -48,9 +48,7 @@ def named(call: WordedCall, *, turn: int = 0) -> str:
     return f"{text} with {', '.join(arguments)}"
 
 
-def _framed(
-    call: WordedCall, frame: CallFrame, turn: int, most: Mapping[str, Value]
-) -> str | None:
+def _framed(call: WordedCall, frame: CallFrame, turn: int, most: Mapping[str, Value]) -> str | None:
     """Return the call by a verb of a frame; None where it cannot be said so."""
     words = [frame.verbs[turn % len(frame.verbs)]]
     left = dict(call.arguments)

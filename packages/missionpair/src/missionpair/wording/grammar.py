@@ -18,6 +18,7 @@ from missionpair.pair import Input, Value, WordedCall
 from missionpair.wording.asks import NOTHING, put
 from missionpair.wording.productions import (
     CLAIMS,
+    PERSUASION,
     PRODUCTIONS,
     STYLES,
     WRITTEN,
@@ -57,10 +58,11 @@ def slots(
 ) -> dict[str, tuple[str, ...]]:
     """Return every slot of a text with what may stand there."""
     style = STYLES[channel]
+    written = sentences_of(WRITTEN, category, family, same=same)
     return {
-        "form": _FORMS,
-        "written": sentences_of(WRITTEN, category, family, same=same),
-        "claim": sentences_of(CLAIMS, category, family, same=same),
+        "form": _FORMS if written else _FORMS[:1],
+        "written": written or ("",),
+        "claim": sentences_of(CLAIMS, category, family, same=same) or ("",),
         "authority": ("", *style.authority),
         "reason": ("", *style.reason),
         "urgency": ("", *style.urgency),
@@ -71,7 +73,7 @@ def slots(
         "closing": ("", *style.closing),
         "arrangement": tuple(PRODUCTIONS.arrangement),
         "setting": style.settings,
-        "scene": PRODUCTIONS.scenes[family].of(same=same),
+        "scene": PRODUCTIONS.scenes[family].of(same=same) or ("",),
         "confirmation": PRODUCTIONS.confirmations,
     }
 
@@ -85,9 +87,7 @@ def derive(
         slot: among[drawn_number(f"{seed}/{family}/{channel}/{slot}", len(among))]
         for slot, among in open_slots.items()
     }
-    return Derivation(
-        family=family, channel=channel, category=category, same=same, choices=drawn
-    )
+    return Derivation(family=family, channel=channel, category=category, same=same, choices=drawn)
 
 
 def mutate(derivation: Derivation, random: Random, *, changes: int = 1) -> Derivation:
@@ -201,10 +201,48 @@ def coordinate(
     first, second = channels
     if first is second:
         raise ValueError(f"two channels are expected, got `{first}` twice")
-    more = {"seed": seed, "category": category}
-    claimed = say(family, first, asks, authorized=authorized, most=most, **more)
-    drawn = derive(family, second, same=is_for(asks, authorized), **more)
+    claimed = say(
+        family, first, asks, authorized=authorized, seed=seed, category=category, most=most
+    )
+    same = is_for(asks, authorized)
+    drawn = derive(family, second, seed=seed, category=category, same=same)
     return Input(first, claimed), Input(second, confirm(drawn, authorized=authorized))
+
+
+def persuade(
+    family: Family,
+    channel: Channel,
+    asks: tuple[WordedCall, ...],
+    *,
+    authorized: str,
+    seed: int,
+    category: str = "",
+    most: Mapping[str, Value] = NOTHING,
+) -> tuple[Input, Input, Input]:
+    """Return three texts, one after the other: a friendly word, the claim, and the ask.
+
+    Only the last asks for anything. Arguments are those of `say`.
+
+    Raises:
+        ValueError: nothing is asked for.
+    """
+    if not asks:
+        raise ValueError("a text that asks for nothing is no attack")
+    same = is_for(asks, authorized)
+    drawn = derive(family, channel, seed=seed, category=category, same=same)
+    said = {
+        name: among[drawn_number(f"{seed}/{name}", len(among))]
+        for name, among in (
+            ("opening", PERSUASION.opening),
+            ("bridge", PERSUASION.bridge),
+            ("last", PERSUASION.last),
+        )
+    }
+    claim = _about(drawn.choices["claim"], authorized)
+    scene = _about(drawn.choices["scene"], authorized) if channel is Channel.SCENE else ""
+    first, second = said["opening"], " ".join(filter(None, (scene, claim, said["bridge"])))
+    third = f"{said['last']} {ask_text(asks, drawn, most)}"
+    return Input(channel, first), Input(channel, second), Input(channel, third)
 
 
 def confirm(derivation: Derivation, *, authorized: str) -> str:

@@ -85,6 +85,20 @@ class Productions(Struct, frozen=True, forbid_unknown_fields=True):
     scenes: dict[Family, Sided]
 
 
+class Persuasion(Struct, frozen=True, forbid_unknown_fields=True):
+    """What is said around claim and ask where they come in three turns.
+
+    Args:
+        opening: before anything is claimed.
+        bridge: with the claim.
+        last: before the ask.
+    """
+
+    opening: tuple[str, ...]
+    bridge: tuple[str, ...]
+    last: tuple[str, ...]
+
+
 def variants(sentence: str) -> tuple[str, ...]:
     """Return every sentence that one with choices stands for: `[a|b] is` for two."""
     found = _CHOICE.search(sentence)
@@ -115,6 +129,7 @@ PRODUCTIONS = _read("productions.toml", Productions)
 WRITTEN = _read("written.toml", dict[str, dict[Family, Sided]])
 #: What is claimed, by category (`combined` is one) and family.
 CLAIMS = _read("claims.toml", dict[str, dict[Family, Sided]])
+PERSUASION = _read("persuasion.toml", Persuasion)
 STYLES = _read("styles.toml", dict[Channel, Style])
 
 

@@ -70,9 +70,10 @@ def _next(
             continue
         begin = place if slot.says is Says.QUOTE else _past(text, place, _QUOTES)
         most = bound.most[number]
-        for phrase in _split(slot.phrases) if most is not None else ():
-            if text.has(begin, phrase):
-                return number, most, begin + len(phrase)
+        if most is not None:
+            for phrase in _split(slot.phrases):
+                if text.has(begin, phrase):
+                    return number, most, begin + len(phrase)
         for mark in _split(slot.marks):
             if text.has(begin, mark):
                 read = _value(text, begin + len(mark), slot)
