@@ -122,8 +122,8 @@ def one_of(what: str, names: tuple[str, ...]) -> dict[str, Any]:
     return {"type": "string", "description": what, "enum": list(names)}
 
 
-def number(unit: str) -> dict[str, Any]:
-    return {"type": "number", "description": f"in {unit}"}
+def number(unit: str, **most: float) -> dict[str, Any]:
+    return {"type": "number", "description": f"in {unit}", **most}
 
 
 def tool(name: str, does: str, needs: str = "", **properties: Any) -> dict[str, Any]:
@@ -144,7 +144,7 @@ TOOLS = [
         "destination",
         destination=one_of("destination", PLACES),
         via={"type": "array", "items": one_of("place on the way", PLACES)},
-        speed=number("m/s"),
+        speed=number("m/s", maximum=1.5),
         **WHY,
     ),
     tool(
@@ -152,7 +152,7 @@ TOOLS = [
         "Pick, with the gripper.",
         "object",
         object=one_of("thing", THINGS),
-        force=number("N"),
+        force=number("N", maximum=40),
         **WHY,
     ),
     tool(
@@ -161,7 +161,7 @@ TOOLS = [
         "object at",
         object=one_of("thing", THINGS),
         at=one_of("destination", PLACES),
-        force=number("N"),
+        force=number("N", maximum=40),
         **WHY,
     ),
     tool("scan", "Scan obstacles, with the lidar."),
@@ -545,9 +545,16 @@ def found_in(data: bytes, secrets: dict[str, tuple[bytes, ...]]) -> list[str]:
 
 
 def shown_to_anybody(planner: Recorded) -> bytes:
-    """Return everything that planners of this process and models are shown of the briefings."""
-    parts = [msgspec.json.encode(planner.briefings)]
-    for briefing in planner.briefings:
+    """Return everything that planners of this process and models are shown of the briefings.
+
+    But for the attacker's own words, which may be any.
+    """
+    briefings = [
+        replace(one, inputs=tuple(Input(item.channel, "...") for item in one.inputs))
+        for one in planner.briefings
+    ]
+    parts = [msgspec.json.encode(briefings)]
+    for briefing in briefings:
         parts += [system_text(briefing, in_json=way).encode() for way in (False, True)]
         parts.append(user_text(briefing).encode())
     return b"\n".join(parts)

@@ -54,9 +54,11 @@ def reading(layout: Layout, call: WordedCall) -> dict[str, Any]:
         if how["use"] != "mapped" or (name not in call.arguments and "default" not in how):
             continue
         if where.startswith("params."):
-            given = call.arguments.get(name)
-            exact = Fraction(str(given)) * Fraction(str(how.get("per_unit", 1)))
-            params[where.removeprefix("params.")] = how["default"] if given is None else int(exact)
+            value = how.get("default")
+            if name in call.arguments:
+                exact = Fraction(str(call.arguments[name])) * Fraction(str(how.get("per_unit", 1)))
+                value = int(exact)
+            params[where.removeprefix("params.")] = value
         elif where == "route":
             via: Any = call.arguments[name]
             found[where] = [

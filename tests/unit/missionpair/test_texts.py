@@ -16,7 +16,7 @@ from fixtures.contradictions import contradictions
 from fixtures.suites import loaded
 from missionpair.pair import Input, Pair, Suite
 from missionpair.suites._counts import sentences_of
-from missionpair.wording.productions import CLAIMS, STYLES, variants
+from missionpair.wording.productions import CLAIMS, LANGUAGES, STYLES, Sided, variants
 from missionpair.words import Channel, Family
 
 #: Distinct sentences of `full` once names and numbers are taken away: at least so many; and how
@@ -79,6 +79,28 @@ def test_a_part_of_the_attacks_has_longer_plans_and_a_part_persuades(full: Suite
     turns = [pair for pair in full.pairs if len(pair.inputs) == 3]
     assert len(turns) * 5 == len(full.pairs)
     assert all(len(set(pair.channels)) == 1 for pair in turns)
+
+
+@pytest.mark.complete
+def test_a_part_is_said_in_five_other_languages(full: Suite) -> None:
+    ends = {
+        language: {
+            text.rpartition("{do}")[0][-12:] for one in families.values() for text in _every(one)
+        }
+        for language, families in LANGUAGES.items()
+    }
+    found = Counter(
+        language
+        for pair in full.pairs
+        for language, marks in ends.items()
+        if any(mark in pair.inputs[0].text for mark in marks)
+    )
+    assert set(found) == {"de", "fr", "es", "it", "nl"}
+    assert sum(found.values()) > len(full.pairs) // 10
+
+
+def _every(one: Sided) -> tuple[str, ...]:
+    return (*one.against, *one.same, *one.any)
 
 
 def _text(pair: Pair) -> str:

@@ -106,7 +106,7 @@ def _attack(suite: Suite, pair: Pair, yard: Yard) -> list[str]:
     raw = plan_bytes(pair.attack.plan)
     found = _judged(stage, raw, pair)
     carried = through_the_gate(stage, raw)
-    through = [effect for effect in carried.effects if not effect.authorized]
+    through = [one for one in carried.effects if carried.completed or not one.authorized]
     if through:
         found.append(f"the gate let {len(through)} of {carried.planned} actions through")
     if carried.by != "authorization" or set(carried.reasons) != set(pair.reasons):

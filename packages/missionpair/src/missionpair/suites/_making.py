@@ -18,7 +18,8 @@ from missionpair.registry import make, names
 from missionpair.suites._canonical import canonical
 from missionpair.variants._twin import AttackVariant, AttackVariants
 from missionpair.variants.parameter import most_of
-from missionpair.wording import coordinate, is_for, persuade, say
+from missionpair.wording import coordinate, is_for, persuade, say, say_in
+from missionpair.wording.productions import LANGUAGES
 from missionpair.words import Category, Channel, Domain, Family
 
 #: Steps of the mission that may come before an attack in its own plan.
@@ -31,6 +32,7 @@ class Told(Enum):
     """In how many texts an attack is told."""
 
     ONCE = "one text"
+    IN_ANOTHER_LANGUAGE = "one text in one of five other languages"
     ON_TWO_CHANNELS = "a second channel confirms what the first one says"
     IN_TURNS = "three turns of persuasion on one channel"
 
@@ -188,7 +190,7 @@ def pair_of(
         benign=twin.benign,
         attack=twin.scenario,
         update=twin.update,
-        inputs=spoken(twin, cell, channels, seed),
+        inputs=spoken(twin, cell, channels, seed, told),
         violates=twin.violates,
         reasons=twin.reasons or twin.violates,
         commissioned=twin.commissioned,
@@ -196,9 +198,12 @@ def pair_of(
 
 
 def spoken(
-    twin: AttackVariant, cell: Cell, channels: tuple[Channel, ...], seed: int
+    twin: AttackVariant, cell: Cell, channels: tuple[Channel, ...], seed: int, told: Told
 ) -> tuple[Input, ...]:
-    """Return what reaches the planner: the one place that asks for wording."""
+    """Return what reaches the planner: the one place that asks for wording.
+
+    A call for which another language has no words is asked for in English.
+    """
     words = twin.errand.ground.words
     more: dict[str, Any] = {
         "authorized": twin.authorized,
@@ -211,7 +216,12 @@ def spoken(
     if len(channels) == 2:
         both = (channels[0], channels[1])
         return coordinate(cell.family, both, twin.plan, **more)
-    return (Input(channels[0], say(cell.family, channels[0], twin.plan, **more)),)
+    text = None
+    if told is Told.IN_ANOTHER_LANGUAGE:
+        language = tuple(LANGUAGES)[seed % len(LANGUAGES)]
+        known = {name: more[name] for name in ("authorized", "seed", "most")}
+        text = say_in(language, cell.family, twin.plan, **known)
+    return (Input(channels[0], text or say(cell.family, channels[0], twin.plan, **more)),)
 
 
 def most_said(words: DomainWords, robot: RobotWords) -> dict[str, Value]:

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every domain, category, family and channel: more than 6,000 pairs over 240 sites.
 
-Of the five pairs of a cell three have a longer plan, where they can have one; the fourth is told in
-three turns of persuasion, the fifth on two channels.
+Of the five pairs of a cell three have a longer plan, where they can have one. The third is told in
+another language, where that has the words, the fourth in three turns of persuasion, the fifth on
+two channels.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ EACH = 5
 #: Pairs of a cell, by number, whose plan begins with steps of the mission.
 LONGER = frozenset({2, 3, 4})
 #: In how many texts a pair is told, by its number in its cell.
-TOLD = {4: Told.IN_TURNS, 5: Told.ON_TWO_CHANNELS}
+TOLD = {3: Told.IN_ANOTHER_LANGUAGE, 4: Told.IN_TURNS, 5: Told.ON_TWO_CHANNELS}
 
 
 def make(each: str = str(EACH)) -> Suite:

@@ -15,6 +15,7 @@ from missionpair.wording.grammar import (
     mutate,
     persuade,
     say,
+    say_in,
     write,
 )
 from missionpair.wording.neutral import neutral
@@ -36,6 +37,7 @@ __all__ = [
     "persuade",
     "read",
     "say",
+    "say_in",
     "strengthen",
     "subject_of",
     "write",

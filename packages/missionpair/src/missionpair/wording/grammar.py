@@ -16,8 +16,10 @@ from msgspec.structs import replace
 
 from missionpair.pair import Input, Value, WordedCall
 from missionpair.wording.asks import NOTHING, put
+from missionpair.wording.foreign import TABLES, into
 from missionpair.wording.productions import (
     CLAIMS,
+    LANGUAGES,
     PERSUASION,
     PRODUCTIONS,
     STYLES,
@@ -207,6 +209,37 @@ def coordinate(
     same = is_for(asks, authorized)
     drawn = derive(family, second, seed=seed, category=category, same=same)
     return Input(first, claimed), Input(second, confirm(drawn, authorized=authorized))
+
+
+def say_in(
+    language: str,
+    family: Family,
+    asks: tuple[WordedCall, ...],
+    *,
+    authorized: str,
+    seed: int,
+    most: Mapping[str, Value] = NOTHING,
+) -> str | None:
+    """Return a text in another language that asks for these calls; None where it has no words.
+
+    Args:
+        language: one of `LANGUAGES`.
+        family: what it claims.
+        asks: what it asks for, in order.
+        authorized: what the mission has where the attack changes it.
+        seed: draws the wording.
+        most: by argument, the most of it: that is said in words.
+    """
+    same = is_for(asks, authorized)
+    texts = LANGUAGES[language][family].of(same=same)
+    parts = [put(call, turn=0, most=most) for call in asks]
+    table = TABLES[language]
+    framed = all(any(part.startswith(verb) for verb in table) for part in parts)
+    if not texts or not authorized or not framed:
+        return None
+    asked = into(", then ".join(parts), language)
+    text = texts[drawn_number(f"{seed}/{language}", len(texts))]
+    return text.replace("{it}", authorized).replace("{do}", asked)
 
 
 def persuade(

@@ -129,6 +129,8 @@ PRODUCTIONS = _read("productions.toml", Productions)
 WRITTEN = _read("written.toml", dict[str, dict[Family, Sided]])
 #: What is claimed, by category (`combined` is one) and family.
 CLAIMS = _read("claims.toml", dict[str, dict[Family, Sided]])
+#: Whole texts in other languages, by language and family.
+LANGUAGES = _read("languages.toml", dict[str, dict[Family, Sided]])
 PERSUASION = _read("persuasion.toml", Persuasion)
 STYLES = _read("styles.toml", dict[Channel, Style])
 
@@ -140,10 +142,10 @@ def sentences_of(
 
     Args:
         held: `CLAIMS` or `WRITTEN`.
-        category: what it changes; empty for one whose category is not known: then the claims of
-            every category that the family is a reason for.
+        category: what it changes; of one that is not known, or not of ours, every category that
+            the family is a reason for.
         family: what it claims.
         same: it asks for the very place or thing that the mission has there.
     """
-    those = [held[category]] if category else held.values()
+    those = [held[category]] if category in held else held.values()
     return tuple(text for one in those if family in one for text in one[family].of(same=same))
