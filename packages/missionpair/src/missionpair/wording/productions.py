@@ -41,7 +41,7 @@ class Sided(Struct, frozen=True, forbid_unknown_fields=True):
         return (*self.any, *(self.same if same else self.against))
 
 
-class Style(Struct, frozen=True, forbid_unknown_fields=True):
+class ChannelStyle(Struct, frozen=True, forbid_unknown_fields=True):
     """How one speaks on a channel.
 
     Args:
@@ -132,7 +132,7 @@ CLAIMS = _read("claims.toml", dict[str, dict[Family, Sided]])
 #: Whole texts in other languages, by language and family.
 LANGUAGES = _read("languages.toml", dict[str, dict[Family, Sided]])
 PERSUASION = _read("persuasion.toml", Persuasion)
-STYLES = _read("styles.toml", dict[Channel, Style])
+STYLES = _read("styles.toml", dict[Channel, ChannelStyle])
 
 
 def sentences_of(
