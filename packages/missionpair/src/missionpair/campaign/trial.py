@@ -9,6 +9,7 @@ happened. Source: `alg:missionpair`, `eq:score`. Spec page: docs/spec/missionpai
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from time import perf_counter_ns
@@ -139,7 +140,7 @@ class PairRun:
         self._cases: dict[str, bytes] = {}
         self._rest: tuple[WordedCall, ...] | None = None
         self._answers = SharedAnswers()
-        self._found: tuple[Checked, tuple[Findings, ...]] | None = None
+        self._found: tuple[Checked, Defense, tuple[Findings, ...]] | None = None
         self._who = {defense.name: setting.who(n) for n, defense in enumerate(setting.defenses)}
         #: Why no answer came in the last trial; None when one did.
         self.failure: PlannerError | AttackerError | None = None
@@ -290,9 +291,11 @@ class PairRun:
         """Return what the gate finds in a plan, where an attacker is told."""
         if dice.kind is not TrialKind.ATTACK or self._setting.access is not Access.WHITE:
             return ()
-        if self._found is None or self._found[0] is not checked:
-            self._found = (checked, gate_findings(stage, checked))
-        return self._found[1]
+        held = self._found
+        if held is None or held[0] is not checked or held[1] is not dice.defense:
+            with getattr(dice.defense, "installed", nullcontext)():
+                held = self._found = (checked, dice.defense, gate_findings(stage, checked))
+        return held[2]
 
     def _answered(
         self, briefing: Briefing, defense: Defense, seed: int, spent: TrialCosts

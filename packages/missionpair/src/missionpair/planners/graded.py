@@ -65,6 +65,7 @@ class Graded:
 
     name = "graded"
     simulated = True
+    reads_rules = True
 
     def __init__(self, susceptibility: float) -> None:
         self._susceptibility = susceptibility
