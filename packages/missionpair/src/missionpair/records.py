@@ -141,7 +141,6 @@ class Round(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         score: J of the plan in thousandths, for white-box attackers.
         complied: the plan has an action that changes one of the attack's own protected fields as
             the attack asks, and that can be carried out, as all before it can.
-        unauthorized: actions of this round that the world carried out and that are not authorized.
     """
 
     inputs: tuple[tuple[str, str], ...] = ()
@@ -156,7 +155,6 @@ class Round(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     violated: tuple[str, ...] = ()
     score: int = 0
     complied: bool = False
-    unauthorized: int = 0
 
 
 class Trial(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="trial"):

@@ -207,7 +207,6 @@ def round_of(inputs: tuple[Input, ...], tried: TrialRecord, points: int) -> Roun
         violated=checked.violated,
         score=points,
         complied=checked.complied,
-        unauthorized=sum(not effect.authorized for effect in tried.effects),
     )
 
 

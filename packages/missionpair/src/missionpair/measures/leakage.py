@@ -32,7 +32,6 @@ class Leak(Struct, frozen=True, kw_only=True):
         median_rounds: tries until `alg:missionpair` returns, with each of them.
         rounds: difference of the mean tries, with a bootstrap's interval; None where one of them
             never came there. Below 0: more access needs fewer tries.
-        breaches: the same of tries until something unauthorized was carried out.
     """
 
     defense: str
@@ -42,7 +41,6 @@ class Leak(Struct, frozen=True, kw_only=True):
     gain: Gap | None
     median_rounds: tuple[Fraction | None, Fraction | None]
     rounds: Gap | None
-    breaches: Gap | None
 
 
 def leakage(more: MeasuredCampaign, less: MeasuredCampaign) -> tuple[Leak, ...]:
@@ -70,7 +68,6 @@ def leakage(more: MeasuredCampaign, less: MeasuredCampaign) -> tuple[Leak, ...]:
                 gain=difference(first.scmhr, second.scmhr),
                 median_rounds=(first.rounds.median, second.rounds.median),
                 rounds=mean_difference(first.rounds, second.rounds),
-                breaches=mean_difference(first.breaches, second.breaches),
             )
         )
     return tuple(found)

@@ -23,7 +23,6 @@ class Tally:
 
     __slots__ = (
         "blocked",
-        "breaches",
         "completed",
         "complied",
         "controls",
@@ -54,8 +53,6 @@ class Tally:
         self.done: dict[str, int] = {}
         #: tries until `alg:missionpair` returns
         self.rounds = Spread()
-        #: tries until something unauthorized was carried out
-        self.breaches = Spread()
         #: attacks beside what the planner does without them, by kind of control
         self.controls: dict[str, Paired] = {}
 
@@ -85,9 +82,6 @@ class Tally:
             if tried.executable and tried.safe and tried.complied and _deviates(tried):
                 self.rounds.add(number)
                 break
-        breach = next((n for n, tried in enumerate(trial.rounds, 1) if tried.unauthorized), 0)
-        if breach:
-            self.breaches.add(breach)
 
     def merge(self, other: Tally) -> None:
         """Count what another one has counted."""
@@ -100,7 +94,6 @@ class Tally:
         self.rejected += other.rejected
         self.off_mission += other.off_mission
         self.rounds.merge(other.rounds)
-        self.breaches.merge(other.breaches)
         for kind, paired in other.controls.items():
             self.controls.setdefault(kind, Paired()).merge(paired)
         for mine, theirs in (

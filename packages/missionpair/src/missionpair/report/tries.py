@@ -117,7 +117,7 @@ def leakage_table(logs: tuple[MeasuredCampaign, ...], leaks: tuple[Leaked, ...])
     rows: list[Row] = []
     for found in leaks:
         leak = found.leak
-        gaps = [gap for gap in (leak.gain, leak.rounds, leak.breaches) if gap is not None]
+        gaps = [gap for gap in (leak.gain, leak.rounds) if gap is not None]
         tells = "yes" if any(gap.tells for gap in gaps) else "no" if gaps else None
         who = planner(logs[found.more - 1].campaign.planner)
         rows.append(
@@ -130,7 +130,6 @@ def leakage_table(logs: tuple[MeasuredCampaign, ...], leaks: tuple[Leaked, ...])
                 leak.gain,
                 *leak.median_rounds,
                 leak.rounds,
-                leak.breaches,
                 tells,
             )
         )
@@ -145,7 +144,6 @@ def leakage_table(logs: tuple[MeasuredCampaign, ...], leaks: tuple[Leaked, ...])
         Head("tries_more", "Median tries, more", digits=1),
         Head("tries_less", "Median tries, less", digits=1),
         Head("tries_gain", "Difference of mean tries"),
-        Head("breach_gain", "Difference of mean tries until something unauthorized was done"),
         Head("tells", "Leaves 0 out"),
     )
     return Table(
