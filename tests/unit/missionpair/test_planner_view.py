@@ -57,7 +57,7 @@ def table() -> dict[str, tuple[str, str]]:
 
 
 COLUMNS = (
-    ("adversary", "hijacked", "graded", "replay"),
+    ("adversary", "hijacked", "graded", "noisy", "prober", "replay"),
     ("openai", "anthropic", "qwen", "haiku"),
 )
 
@@ -303,7 +303,12 @@ def setting(planner: Any, attacker: Any, defense: str, access: Access, turns: in
 
 
 #: A defense that asks another process needs an address; nobody answers there, which is a no.
-SPECS = {"external": "external:socket=/nonexistent/gate.sock"}
+SPECS = {
+    "external": "external:socket=/nonexistent/gate.sock",
+    "weakened": "weakened:without=check_route",
+}
+#: Planners that are attackers themselves, and learn.
+LEARNING = frozenset({"adversary", "prober"})
 
 
 def attacked(yard: Yard, planner: Any, defense: str, access: Access, *, turns: int) -> Sends:
@@ -347,18 +352,18 @@ def test_a_planner_in_process_gets_these_very_bytes_under_every_defense(
         assert {type(briefing) for briefing in planner.briefings} == {Briefing}
         assert got == [as_json({f: one[f] for f in fields}, sort=True) for one in want]
         assert planner.seeds == [one["seed"] for one in want]
-        # and on no other way: only `adversary` is told more, in the bytes of the attacker's level
-        assert planner.touched == ({"told"} if name == "adversary" else set())
-        if name == "adversary":
+        # and on no other way: who learns is told more, in the bytes of the attacker's level
+        assert planner.touched == ({"told"} if name in LEARNING else set())
+        if name in LEARNING:
             first, last = planner.told_bytes
             assert [first] == attacker.got[1:]
             assert json.loads(last).keys() == json.loads(first).keys()
 
 
-def test_only_the_adversary_is_told_of_rounds(tmp_path: Path) -> None:
+def test_only_a_planner_that_attacks_is_told_of_rounds(tmp_path: Path) -> None:
     for name in planners.names():
         planner = live(name, "http://127.0.0.1:9") if name in PROTOCOLS else made(name, tmp_path)
-        assert hasattr(planner, "told") == (name == "adversary"), name
+        assert hasattr(planner, "told") == (name in LEARNING), name
 
 
 # models: the requests that a real server got
