@@ -45,6 +45,7 @@ HERE = (
     "none",
     "pertool",
     "prompt",
+    "roboguard",
     "safety",
     "temporal",
     "weakened",
@@ -56,6 +57,7 @@ STOPS: dict[str, set[str]] = {
     "none": set(),
     "prompt": set(),
     "safety": set(),
+    "roboguard": set(),
     "allowlist": {"check_type", "check_tool"},
     "pertool": {
         *("check_type", "check_tool", "check_object", "check_destination", "check_route"),
