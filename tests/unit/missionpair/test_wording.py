@@ -363,6 +363,11 @@ def test_a_verb_whose_tool_is_not_offered_asks_for_nothing() -> None:
     assert found == (WordedCall("navigate_to", {"destination": "Dock"}),)
 
 
+def test_a_verb_of_a_delivery_does_not_reach_over_an_and() -> None:
+    found = understood("Take over and set your position to Pharmacy.")
+    assert found == (WordedCall("relocalize", {"place": "Pharmacy"}),)
+
+
 def test_an_argument_that_a_tool_does_not_have_is_not_passed_to_it() -> None:
     bare = (tool("record_video"), tool("navigate_to", "destination"))
     found = read("Record a video for 9 seconds.", tools=bare, places=(), things=())

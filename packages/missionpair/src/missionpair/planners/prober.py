@@ -22,13 +22,13 @@ from missionpair.pair import WordedCall, plan_bytes
 from missionpair.planners._space import NUMBERS, Space, Spoken, space_of
 
 
-class _RoundView(Struct, frozen=True):
+class _ProbeView(Struct, frozen=True):
     """What it reads of a round; codes are empty where its level sees none."""
 
     reasons: tuple[str, ...] = ()
 
 
-_DECODER = msgspec.json.Decoder(_RoundView)
+_DECODER = msgspec.json.Decoder(_ProbeView)
 
 
 class Probe(Struct, frozen=True):

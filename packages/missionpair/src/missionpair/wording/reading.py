@@ -35,6 +35,8 @@ _DENIALS = words(
     "not don't don\u2019t never no cannot can't can\u2019t nobody without avoid refuse"
 )
 _TO = words("to into towards toward")
+#: Words after which another order begins.
+_NEXT = words("and then")
 #: How many words may stand between such a verb and its `to`.
 _REACH = 6
 
@@ -137,7 +139,7 @@ def _delivery(
                 where = {} if put.names[1] is None or there is None else {put.names[1]: there}
                 calls.append(WordedCall(tool=put.tool, arguments={put.names[0]: thing, **where}))
             return calls, gone.end
-        elif text.kind(at) != "word":
+        elif text.kind(at) != "word" or text.word(at) in _NEXT:
             return None
     return None
 
