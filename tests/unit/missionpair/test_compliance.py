@@ -9,11 +9,15 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
+from authguard_reference.reasons import FIELD_OF
 from fixtures.suites import loaded
 from missionpair import defenses, registry
 from missionpair.campaign.trial import PairRun, Who
 from missionpair.judging import check, check_first
+from missionpair.judging.asked import asked_changes, is_as_asked
+from missionpair.judging.walk import Walk
 from missionpair.mutation import slice_of
 from missionpair.pair import Input, Pair, Suite, WordedCall, plan_bytes
 from missionpair.stage import Yard
@@ -57,6 +61,20 @@ def test_a_plan_with_the_twin_in_it_is_compliance_in_every_pair(yard: Yard) -> N
             checked = check(stage, plan_bytes(pair.attack.plan))
             assert checked.complied, pair.id
             assert checked.succeeds, pair.id
+
+
+def test_an_action_complies_by_a_field_that_it_violates_and_by_no_other(
+    suite: Suite, yard: Yard
+) -> None:
+    """The attack's own action, once the mission allows that part of it, is a fault of another."""
+    for pair in suite.pairs:
+        stage = yard.stage(pair, suite.layouts[pair.layout], pair.attack)
+        first, *_ = asked_changes(stage)
+        walk = Walk.of(stage)
+        walk.state = replace(walk.state, region=first.place)
+        others = [code for code in FIELD_OF if FIELD_OF[code] not in first.fields]
+        assert is_as_asked(stage, walk, first.action, first.codes), pair.id
+        assert not is_as_asked(stage, walk, first.action, others), pair.id
 
 
 def test_the_same_plan_complies_the_same_whatever_stands_behind_it(
