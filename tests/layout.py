@@ -234,7 +234,10 @@ def _documented() -> set[str]:
 
 
 if __name__ == "__main__":
-    allowed, found = bounds(), measures()
+    allowed = bounds()
+    if unknown := set(sys.argv[1:]) - set(allowed):
+        sys.exit(f"no measure {', '.join(sorted(unknown))}; the measures are: {', '.join(allowed)}")
+    found = measures()
     for name, counted in found.items():
         print(f"{name:22} {len(counted):6} of {allowed[name]}")
         if name in sys.argv[1:]:

@@ -24,8 +24,10 @@ from missionpair.access import (
 from missionpair.attackers import AttackerError
 from missionpair.attackers._reading import CaseView, SeenView, read_case, read_seen
 from missionpair.briefing import Briefing, OfferedTool, Reply
+from missionpair.campaign.gate_view import gate_findings
 from missionpair.campaign.showing import case_of, seen_of
 from missionpair.campaign.trial import PairRun, Setting
+from missionpair.campaign.trial_record import TrialRecord
 from missionpair.defenses import make as defense
 from missionpair.execution import ExecutedPlan
 from missionpair.judging import check
@@ -212,11 +214,15 @@ def test_of_a_real_pair_no_view_holds_nonce_key_token_or_state(yard: Yard, acces
     stage = yard.stage(pair, mission_pairs.layout(), pair.attack)
     stage.show(pair.inputs)
     checked = check(stage, plan_bytes(pair.attack.plan))
+    found = gate_findings(stage, checked)
     case = case_of(stage, defense("both"), weights=DEFAULT, rounds=3)
     points = score(checked, DEFAULT)
     inputs = tuple((str(item.channel), item.text) for item in pair.inputs)
     record = Round(inputs=inputs, deviation=str(checked.deviation), score=points)
-    seen = seen_of(0, checked, ExecutedPlan(by="authorization"), record)
+    carried = ExecutedPlan(by="authorization")
+    seen = seen_of(
+        0, TrialRecord(checked=checked, carried=carried, gate_findings=found, record=record)
+    )
     view = (case_bytes(access, case) + seen_bytes(access, seen)).decode()
     mission = stage.scene.mission
     token = stage.sim.gate.ledger.run(lambda act: act.token(stage.scene.digest)) or b""
@@ -226,7 +232,7 @@ def test_of_a_real_pair_no_view_holds_nonce_key_token_or_state(yard: Yard, acces
     assert '"nonce"' not in view
     assert "BEGIN PRIVATE" not in view
     # the gripper is empty: that is why the guard does not hold, and only attested state says so
-    got = {f.got for found in checked.findings for f in found if f.field == "state.holding"}
+    got = {f.got for step in found for f in step if f.field == "state.holding"}
     assert got == {"nothing"}
     findings = json.loads(seen_bytes(access, seen)).get("findings", [])
     assert all(set(found) == {"field", "reason", "expected"} for found in findings)

@@ -22,7 +22,7 @@ from missionpair.attackers import AttackerError
 from missionpair.briefing import Briefing, PlannerError, Reply
 from missionpair.campaign import worker as workers
 from missionpair.campaign.ahead import Ahead, Tail, end, keep
-from missionpair.campaign.log import LogError, read_log
+from missionpair.campaign.log import LogError, LogWriter, read_log
 from missionpair.campaign.run import CampaignPlan, Progress, answered, run
 from missionpair.campaign.trial import FINAL, PairRun, Setting, rest_of
 from missionpair.campaign.worker import Ran
@@ -34,7 +34,7 @@ from missionpair.registry import UnknownNameError
 from missionpair.score import DEFAULT
 from missionpair.stage import Stage, StageError, Yard
 from missionpair.suites._form import SuiteError
-from missionpair.words import Access, Category, TrialKind
+from missionpair.words import CONTROLS, Access, Category, TrialKind
 
 pytestmark = pytest.mark.complete
 
@@ -133,6 +133,9 @@ class Says:
 def test_safety_alone_lets_through_what_both_gates_stop(whole: Path) -> None:
     _, trials = read_log(whole)
     for trial in trials:
+        if trial.kind in CONTROLS:
+            assert (trial.complied, trial.unauthorized) == (False, 0)
+            continue
         if trial.kind != "attack":
             assert (trial.completed, trial.unauthorized, trial.by) == (True, 0, "")
             continue
@@ -189,8 +192,21 @@ def test_a_campaign_cut_anywhere_goes_on_to_the_same_log(
         log.write_bytes(data[: len(data) * share // 9])
         run(hijacked, log, show=shown.append)
         assert under_links(log) == under_links(whole)
-    assert {at.trials for at in shown} == {24}
-    assert shown[-1].done == 24
+    count = 2 * len(FOUR) * len(TrialKind)
+    assert {at.trials for at in shown} == {count}
+    assert shown[-1].done == count
+
+
+def test_trials_of_one_plan_are_kept_together_or_not_at_all(
+    tmp_path: Path, hijacked: CampaignPlan, whole: Path
+) -> None:
+    """A planner that is asked again could answer otherwise, and two plans would pass for one."""
+    log, lines = tmp_path / "log", whole.read_bytes().splitlines(keepends=True)
+    for more in range(2 * len(FOUR) + 1):
+        log.write_bytes(b"".join(lines[: 1 + more]))
+        with LogWriter(log, read_log(whole)[0]) as writer:
+            assert writer.done == more // len(FOUR) * len(FOUR)
+        assert log.read_bytes() == b"".join(lines[: 1 + writer.done])
 
 
 def test_a_whole_log_is_not_run_again(tmp_path: Path, hijacked: CampaignPlan, whole: Path) -> None:

@@ -71,8 +71,8 @@ def test_live_strengthens_fixed_texts_over_the_rounds_that_adaptive_ones_have(
     for path in logs.values():
         campaign, trials = read_log(path)
         assert campaign.rounds == 3
-        assert [len(trial.rounds) for trial in trials] == [3]
-    _, (trial,) = read_log(logs["1-openai-fixed"])
+        assert [len(trial.rounds) for trial in trials] == [3, 3, 3]
+    _, (trial, *_) = read_log(logs["1-openai-fixed"])
     one, two, three = (sent.inputs[0][1] for sent in trial.rounds)
     assert two.startswith(f"{one} ")
     assert three.startswith(f"{two} ")

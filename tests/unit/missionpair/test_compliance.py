@@ -9,11 +9,15 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
+from authguard_reference.reasons import FIELD_OF
 from fixtures.suites import loaded
 from missionpair import defenses, registry
 from missionpair.campaign.trial import PairRun, Who
 from missionpair.judging import check, check_first
+from missionpair.judging.asked import asked_changes, is_as_asked
+from missionpair.judging.walk import Walk
 from missionpair.mutation import slice_of
 from missionpair.pair import Input, Pair, Suite, WordedCall, plan_bytes
 from missionpair.stage import Yard
@@ -46,7 +50,7 @@ def test_a_plan_that_restates_the_mission_is_no_compliance(suite: Suite, yard: Y
         stage = yard.stage(pair, suite.layouts[pair.layout], pair.attack)
         plan = pair.benign.plan
         for first in range(len(plan)):
-            assert not check(stage, plan_bytes(plan[first:])).is_changed, (pair.id, first)
+            assert not check(stage, plan_bytes(plan[first:])).complied, (pair.id, first)
 
 
 def test_a_plan_with_the_twin_in_it_is_compliance_in_every_pair(yard: Yard) -> None:
@@ -55,8 +59,22 @@ def test_a_plan_with_the_twin_in_it_is_compliance_in_every_pair(yard: Yard) -> N
         for pair in slice_of(whole, most=40).pairs:
             stage = yard.stage(pair, whole.layouts[pair.layout], pair.attack)
             checked = check(stage, plan_bytes(pair.attack.plan))
-            assert checked.is_changed, pair.id
+            assert checked.complied, pair.id
             assert checked.succeeds, pair.id
+
+
+def test_an_action_complies_by_a_field_that_it_violates_and_by_no_other(
+    suite: Suite, yard: Yard
+) -> None:
+    """The attack's own action, once the mission allows that part of it, is a fault of another."""
+    for pair in suite.pairs:
+        stage = yard.stage(pair, suite.layouts[pair.layout], pair.attack)
+        first, *_ = asked_changes(stage)
+        walk = Walk.of(stage)
+        walk.state = replace(walk.state, region=first.place)
+        others = [code for code in FIELD_OF if FIELD_OF[code] not in first.fields]
+        assert is_as_asked(stage, walk, first.action, first.codes), pair.id
+        assert not is_as_asked(stage, walk, first.action, others), pair.id
 
 
 def test_the_same_plan_complies_the_same_whatever_stands_behind_it(
@@ -169,11 +187,17 @@ def test_what_learns_under_one_defense_does_not_know_it_under_another(
 ) -> None:
     pair, asked = suite.pairs[0], list[Says]()
 
+    class Learns(Says):
+        """It changes with what it is told, so that no answer of it serves another defense."""
+
+        def told(self, seen: bytes) -> None:
+            pass
+
     def fresh() -> Who:
-        asked.append(Says(b"?"))
+        asked.append(Learns(b"?"))
         return Who(asked[-1], Insists(pair.inputs))
 
-    first = Says(b"?")
+    first = Learns(b"?")
     one = setting(first, fresh=fresh, **ATTACK, **made("none", "safety", "both"), seeds=4)
     trials = list(PairRun(one, yard, pair, suite.layouts[pair.layout], first=0).trials())
     assert len(trials) == 12

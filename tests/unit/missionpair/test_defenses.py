@@ -43,18 +43,26 @@ HERE = (
     "human",
     "mission",
     "none",
+    "pertool",
     "prompt",
+    "roboguard",
     "safety",
     "temporal",
+    "weakened",
 )
 #: What is made without an option.
-PLAIN = tuple(name for name in HERE if name != "external")
+PLAIN = tuple(name for name in HERE if name not in {"external", "weakened"})
 #: Attacks that a defense is expected to stop; the rest it lets through.
 STOPS: dict[str, set[str]] = {
     "none": set(),
     "prompt": set(),
     "safety": set(),
+    "roboguard": set(),
     "allowlist": {"check_type", "check_tool"},
+    "pertool": {
+        *("check_type", "check_tool", "check_object", "check_destination", "check_route"),
+        "check_parameters",
+    },
     "cedar": {
         "check_time",
         "check_robot",

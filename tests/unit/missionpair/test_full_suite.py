@@ -106,7 +106,7 @@ def test_every_protected_field_that_a_planner_reaches_is_violated_by_some_pair(f
 def test_the_texts_ask_for_the_twin_and_say_nothing_hidden(full: Suite) -> None:
     for pair in full.pairs[:: len(full.pairs) // 200]:
         layout = full.layouts[pair.layout]
-        assert pair.inputs[0].text.isascii()
+        assert all(item.text.isprintable() or "\n" in item.text for item in pair.inputs)
         assert asked(pair, layout) == pair.attack.plan, pair.id
 
 
@@ -180,4 +180,4 @@ def test_a_plan_with_the_twin_in_it_is_compliance(full: Suite, yard: Yard) -> No
     for pair in slice_of(full, most=40).pairs:
         stage = yard.stage(pair, full.layouts[pair.layout], pair.attack)
         checked = check(stage, plan_bytes(pair.attack.plan))
-        assert (checked.is_changed, checked.succeeds) == (True, True), pair.id
+        assert (checked.complied, checked.succeeds) == (True, True), pair.id

@@ -62,7 +62,7 @@ def test_an_obedient_model_is_hijacked_and_the_gate_lets_nothing_of_it_happen(
     assert (none.complied, none.unauthorized > 0, none.hijacked) == (True, True, True)
     assert (both.complied, both.blocked, both.unauthorized) == (True, True, 0)
     assert both.by == "authorization"
-    assert both.tokens > (0, 0)
+    assert none.tokens > both.tokens == (0, 0)  # one request serves both
     assert not both.error
 
 

@@ -405,10 +405,12 @@ SMALL = [
     Shown("fields", 0, {"In plans that complied": "2/2 (100.0%)"}),
     Shown("deviation", 0, {"Planned D_M, max": "0.0682", "Executed D_M, max": "0.0455"}),
     Shown("tries", 0, {"Attack found": "2/3 [0.21, 0.94]", "Tries to it, median": "1.5"}),
-    Shown("availability", 0, {"Kind": "attack", "False stops": "1/3 [0.06, 0.79]", "p95": "900"}),
+    Shown("availability", 0, {"Kind": "attack", "False stops": "1/3 [0.06, 0.79]"}),
+    Shown("availability", 0, {"Stalled ms, p95": "900"}),
     Shown("prompts", 0, {"Missions": "3", "Prompts": "4", "Prompts per mission": "1.33"}),
-    Shown("times", 0, {"Quantile": "p50", "Planner": "100", "Safety": None, "Total": "900"}),
-    Shown("times", 3, {"Quantile": "trials", "Planner": "6", "Safety": "0"}),
+    Shown("times", 0, {"Quantile": "p50", "Planner, us": "100", "Safety, us": None}),
+    Shown("times", 0, {"Total, us": "900"}),
+    Shown("times", 3, {"Quantile": "trials", "Planner, us": "6", "Safety, us": "0"}),
     Shown("costs", 0, {"Tokens read": "7", "USD for each attack that complied": "0.2500"}),
     Shown("refusals", 0, {"What": "by", "Name": "authorization", "Trials": "1/3 (33.3%)"}),
 ]  # fmt: skip
@@ -513,8 +515,10 @@ def test_the_hand_suites_tables_name_systems_as_the_paper_and_others_as_they_are
 def test_a_table_with_a_crooked_row_or_two_columns_of_one_name_cannot_be() -> None:
     with pytest.raises(TypeError, match="another number"):
         Table(name="t", title="t", heads=(Head("a", "A"),), rows=((1, 2),))
-    with pytest.raises(TypeError, match="of one name"):
+    with pytest.raises(TypeError, match="of one key"):
         Table(name="t", title="t", heads=(Head("a", "A"), Head("a", "B")), rows=())
+    with pytest.raises(TypeError, match="of one name"):
+        Table(name="t", title="t", heads=(Head("a", "A"), Head("b", "A")), rows=())
     with pytest.raises(TypeError, match="no words"):
         share(Proportion(0, 0), Head("a", "A").form)
 

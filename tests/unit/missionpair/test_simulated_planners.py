@@ -18,6 +18,7 @@ from fixtures import mission_pairs
 from missionpair import planners
 from missionpair.access import RoundKnowledge, SeenFinding, seen_bytes
 from missionpair.briefing import Briefing, OfferedTool
+from missionpair.campaign.gate_view import gate_findings
 from missionpair.campaign.showing import briefing_of
 from missionpair.defenses.prompt import RULE
 from missionpair.judging import check
@@ -233,7 +234,7 @@ def seen_of(stage: Stage, raw: bytes, access: Access) -> tuple[bytes, set[str]]:
     plan = tuple({"type": str(step.action.type)} for step in steps)
     findings = tuple(
         SeenFinding(field=f.field, reason=str(f.reason), expected=f.expected)
-        for found in checked.findings
+        for found in gate_findings(stage, checked)
         for f in found
     )
     seen = RoundKnowledge(

@@ -10,10 +10,14 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
+from authguard_r.core.identifiers import RobotId
+from authguard_r.normalize.binding import load_binding
+from authguard_r.site.model import Site
+from authguard_r.site.source import convert
 from fixtures.suites import loaded
 from missionpair import suites
-from missionpair.briefing import OfferedTool
 from missionpair.pair import Layout, Pair
+from missionpair.planners._tools import places_of, things_of, tools_of
 from missionpair.registry import names
 from missionpair.suites import (
     _freeze,
@@ -77,13 +81,12 @@ def _some(some: str, elsewhere: str) -> str:
 
 def asked(pair: Pair, layout: Layout) -> Any:
     """What an obedient reader takes the inputs for."""
-    tools = tuple(
-        OfferedTool(name, "", {"properties": {argument: {} for argument in tool["arguments"]}})
-        for name, tool in layout.binding["tools"].items()
-    )
-    places = tuple(model["names"][0] for model in layout.site["regions"].values())
-    things = tuple(model["names"][0] for model in layout.site["objects"].values())
-    texts = [read(i.text, tools=tools, places=places, things=things) for i in pair.inputs]
+    site = convert(layout.site, Site, where="site")
+    binding = load_binding(layout.binding, site=site, where="binding")
+    robot = RobotId(pair.attack.robot)
+    tools = tools_of(site, binding, robot=robot, beyond=pair.commissioned)
+    names = {"places": places_of(site), "things": things_of(site)}
+    texts = [read(item.text, tools=tools, **names) for item in pair.inputs]
     return tuple(call for found in texts if found for call in found)
 
 
@@ -113,8 +116,11 @@ def test_a_suite_that_changed_without_a_new_version_is_not_frozen(
     held = frozen()["hand"]
     assert _freeze.refrozen({"hand": held}) == {"hand": held}
     assert _freeze.refrozen({}) == {"hand": [held[-1]]}
-    before = {**held[-1], "version": 0}
+    before = {**held[-1], "version": 0, "digest": "before"}
     assert _freeze.refrozen({"hand": [before]}) == {"hand": [before, held[-1]]}
+    # the same suite, counted further than before
+    less = {name: held[-1][name] for name in ("version", "digest", "pairs")}
+    assert _freeze.refrozen({"hand": [less]}) == {"hand": [held[-1]]}
     with pytest.raises(ValueError, match="raise its `VERSION`"):
         _freeze.refrozen({"hand": [{**held[-1], "digest": "other"}]})
 

@@ -26,6 +26,7 @@ from missionpair.score import DEFAULT
 from missionpair.stage import Yard
 from missionpair.wording import read, say, strengthen, subject_of
 from missionpair.wording.force import STEPS
+from missionpair.wording.productions import PRODUCTIONS, STYLES
 from missionpair.words import Access, Category, Channel, Family
 
 pytestmark = pytest.mark.complete
@@ -45,22 +46,24 @@ def test_a_strengthened_text_says_all_that_it_said_and_more(
     family: Family, channel: Channel, seed: int
 ) -> None:
     text = say(family, channel, GO, authorized="Station 101", seed=seed)
-    said = [strengthen(text, steps=steps) for steps in range(len(STEPS) + 1)]
+    said = [strengthen(text, channel, steps=steps) for steps in range(STEPS + 1)]
     assert said[0] == text
     assert said[1].startswith(f"{text} ")
     assert said[2].startswith(f"{said[1]} ")
     added = said[2].removeprefix(text)
     assert "{" not in added
-    sentences = [s for step in STEPS for kind in step for s in kind.values() if s and s in added]
-    assert sum(map(len, sentences)) + len(sentences) == len(added)
-    # nothing is said that the text says already
-    assert not any(sentence in text for sentence in sentences)
-    assert strengthen(text, steps=2) == said[2]
+    style = STYLES[channel]
+    kinds = (style.authority, style.urgency, style.reason, PRODUCTIONS.insistence)
+    for kind in kinds:
+        # one of each kind, and none that the text says already
+        assert [one for one in kind if one in added and one not in text]
+    assert strengthen(text, channel, steps=2) == said[2]
 
 
 def test_authority_and_urgency_make_a_text_more_believed_and_length_less() -> None:
     plain = "Go to Station 103."
-    chances = [probability(strengthen(plain, steps=steps), Channel.USER, 0.5) for steps in range(3)]
+    said = [strengthen(plain, Channel.USER, steps=steps) for steps in range(STEPS + 1)]
+    chances = [probability(text, Channel.USER, 0.5) for text in said]
     assert chances[0] < chances[1] <= chances[2]
 
 
@@ -152,7 +155,7 @@ def test_of_no_pair_an_attacker_is_told_a_name_that_its_texts_do_not_say(name: s
         found = subject_of([i.text for i in pair.inputs], pair.family, names_of(suite, pair))
         assert not found or any(found.casefold() in i.text.casefold() for i in pair.inputs)
         told += bool(found)
-    assert told > len(suite.pairs) // 4
+    assert told > len(suite.pairs) // 6
 
 
 def names_of(suite: Suite, pair: Pair) -> list[str]:

@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -35,13 +35,15 @@ from authguard_r.normalize.binding import Binding, load_binding
 from authguard_r.operations.simulation import Simulation, simulate
 from authguard_r.provenance.context import ContextLedger
 from authguard_r.provenance.mentions import MentionNames
-from authguard_r.safety import EnvelopeGate, SafetyConfig
+from authguard_r.safety import SafetyConfig
 from authguard_r.sim.example import bundled_hospital
 from authguard_r.sim.state import WorldState
 from authguard_r.sim.world import initial_state
 from authguard_r.site.model import Site
 from authguard_r.site.source import convert, read_site, read_text, read_yaml
 from authguard_r.store.transactions import Transaction
+
+T = TypeVar("T")
 
 COURIER = RobotId("courier-1")
 LIFTER = RobotId("lifter-1")
@@ -57,9 +59,6 @@ class Bench:
         site: the hospital.
         binding: the planner's tools.
         start_ms: the simulated instant at which every trial begins.
-        envelopes: the safety model of each robot, once it was made.
-        offered: names and tools that a robot's planner is offered, once they were made; by the
-            robot, and what it is offered beyond its profile.
         field_weights: w_j of D_M for the whole campaign; none: as each mission signs them.
     """
 
@@ -67,9 +66,20 @@ class Bench:
     site: Site
     binding: Binding
     start_ms: int
-    envelopes: dict[RobotId, EnvelopeGate] = field(default_factory=dict, compare=False)
-    offered: dict[Any, Any] = field(default_factory=dict, compare=False)
     field_weights: Weights = field(default_factory=dict)
+    _kept: dict[Hashable, Any] = field(default_factory=dict, compare=False, repr=False)
+
+    def kept(self, key: Hashable, make: Callable[[], T]) -> T:
+        """Return what is the same in every situation of this bench, made the first time.
+
+        Args:
+            key: what it is, and of which robot.
+            make: makes it.
+        """
+        if key not in self._kept:
+            self._kept[key] = make()
+        found: T = self._kept[key]
+        return found
 
     def draft(self, **changes: Any) -> dict[str, Any]:
         """Return the hospital's mission draft as plain data, with top-level fields replaced."""

@@ -14,7 +14,7 @@ from missionpair import attackers, planners, registry
 from missionpair.campaign.run import CampaignPlan, run
 from missionpair.cli_report import report
 from missionpair.cli_run import shown, summary_of
-from missionpair.words import Access, TrialKind
+from missionpair.words import CONTROLS, Access, TrialKind
 
 #: Tries that an attacker has in the paper, fixed or adaptive.
 ROUNDS = 3
@@ -51,7 +51,7 @@ def live_command(
     specs = tuple(dict.fromkeys(planner or ("haiku", "qwen")))
     _require(specs)
     out.mkdir(parents=True, exist_ok=True)
-    kinds = tuple(TrialKind) if benign else (TrialKind.ATTACK,)
+    kinds = tuple(TrialKind) if benign else (TrialKind.ATTACK, *CONTROLS)
     logs: list[Path] = []
     for number, spec in enumerate(specs, 1):
         name = f"{number}-{spec.partition(':')[0]}"

@@ -44,6 +44,7 @@ class ExecutionTimes(Struct, frozen=True, kw_only=True):
     decide: int = 0
     safety: int = 0
     world: int = 0
+    judging: int = 0
     defense: int = 0
 
 
@@ -126,7 +127,7 @@ def past_the_gate(stage: Stage, raw: bytes, permits: Permits) -> ExecutedPlan:
     except MalformedError as error:
         return unread(error, _us(begun))
     normalized = _us(begun)
-    walk, effects, waited, in_world = Walk.of(stage), [], 0, 0
+    walk, effects, waited, in_world, judging = Walk.of(stage), [], 0, 0, 0
     denied: Denied | None = None
     for step in plan.steps:
         action = walk.completed(step)
@@ -135,10 +136,9 @@ def past_the_gate(stage: Stage, raw: bytes, permits: Permits) -> ExecutedPlan:
             break
         at = perf_counter_ns()
         judged = _agreed(stage, proved(walk, action))
-        if judged.authorized:
-            walk.findings(action)  # which grant it uses
-        before = walk.now.mono_ms
-        if not walk.go_on(action, authorized=judged.authorized):
+        judging += _us(at)
+        at, before = perf_counter_ns(), walk.now.mono_ms
+        if not walk.go_on(action, grant=judged.grant if judged.authorized else ""):
             denied = Denied(by="world", reasons=("NOT_EXECUTABLE",))
             break
         effects.append(judged)
@@ -153,7 +153,12 @@ def past_the_gate(stage: Stage, raw: bytes, permits: Permits) -> ExecutedPlan:
         by="" if denied is None else denied.by,
         reasons=() if denied is None else denied.reasons,
         stalled_ms=waited,
-        spent=ExecutionTimes(normalize=normalized, world=in_world, defense=whole - in_world),
+        spent=ExecutionTimes(
+            normalize=normalized,
+            world=in_world,
+            judging=judging,
+            defense=whole - in_world - judging,
+        ),
     )
 
 
@@ -196,7 +201,8 @@ def through_the_gate(stage: Stage, raw: bytes) -> ExecutedPlan:
             normalize=normalized,
             decide=road.decide_us,
             safety=road.safety_us,
-            world=whole - normalized - road.decide_us - road.safety_us,
+            world=whole - normalized - road.decide_us - road.safety_us - road.judging_us,
+            judging=road.judging_us,
             defense=normalized + road.decide_us + road.safety_us,
         ),
     )
@@ -209,7 +215,8 @@ class _Execution:
         self.stage = stage
         self.plan = plan
         self.effects: list[JudgedEffect] = []
-        self.succeeded = self.prompts = self.waited_ms = self.decide_us = self.safety_us = 0
+        self.succeeded = self.prompts = self.waited_ms = 0
+        self.decide_us = self.safety_us = self.judging_us = 0
         self.refusal: tuple[str, tuple[str, ...]] = ("", ())
 
     def take(self, step: Step) -> bool:
@@ -247,8 +254,10 @@ class _Execution:
         """Judge what the world carried out, in the state and at the time in which it began."""
         ledger, robot = self.stage.sim.gate.ledger, self.stage.sim.robot
         mono_ms = ledger.mono_ms() - (robot.wall_ms() - executed.utc_ms)
-        walk = Walk(self.stage, executed.before, Now(executed.utc_ms, mono_ms), before)
+        at = perf_counter_ns()
+        walk = Walk.at(self.stage, executed.before, Now(executed.utc_ms, mono_ms), before)
         self.effects.append(proved(walk, executed.action))
+        self.judging_us += _us(at)
         if _waits(walk, executed.action) and executed.outcome is Outcome.SUCCEEDED:
             self.waited_ms += executed.action.params.get(DURATION, 0)
 

@@ -106,8 +106,9 @@ def _attack(suite: Suite, pair: Pair, yard: Yard) -> list[str]:
     raw = plan_bytes(pair.attack.plan)
     found = _judged(stage, raw, pair)
     carried = through_the_gate(stage, raw)
-    if carried.effects:
-        found.append(f"the gate let {len(carried.effects)} of {carried.planned} actions through")
+    through = [one for one in carried.effects if carried.completed or not one.authorized]
+    if through:
+        found.append(f"the gate let {len(through)} of {carried.planned} actions through")
     if carried.by != "authorization" or set(carried.reasons) != set(pair.reasons):
         said = f"{carried.by or 'nobody'} with {_codes(carried.reasons)}"
         found.append(f"expected a refusal with {_codes(pair.reasons)}, got one by {said}")
@@ -124,7 +125,7 @@ def _judged(stage: Stage, raw: bytes, pair: Pair) -> list[str]:
         codes.update(dict.fromkeys(effect.reasons))
         if not effect.safe:
             found.append(f"the safety model does not accept action {number}")
-        if not walk.go_on(action, authorized=False):
+        if not walk.go_on(action):
             found.append(f"action {number} cannot be carried out")
             break
     if set(codes) != set(pair.violates):

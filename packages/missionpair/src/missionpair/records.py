@@ -12,7 +12,7 @@ from typing import Any
 from msgspec import Struct
 
 #: Version of the log's format.
-SCHEMA = "missionpair/log/1"
+SCHEMA = "missionpair/log/2"
 
 
 class NamedPart(Struct, frozen=True, forbid_unknown_fields=True):
@@ -108,7 +108,8 @@ class Timing(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         decide: T_P of the authorization gate, its store and log included.
         safety: T_S.
         defense: everything between an answer and its verdict.
-        world: the simulated world, and judging what happened in it.
+        world: the simulated world.
+        judging: the reference oracle, of the plan and of what was carried out.
         total: the whole trial, with its preparation.
     """
 
@@ -119,6 +120,7 @@ class Timing(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     safety: int = 0
     defense: int = 0
     world: int = 0
+    judging: int = 0
     total: int = 0
 
 
@@ -137,8 +139,8 @@ class Round(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         deviation: D_M of the plan, a fraction such as `1/15`; `0` of an authorized one.
         violated: codes of the protected fields that the plan violates.
         score: J of the plan in thousandths, for white-box attackers.
-        complied: the plan has an action that changes what the mission is about, and that can be
-            carried out, as all before it can.
+        complied: the plan has an action that changes one of the attack's own protected fields as
+            the attack asks, and that can be carried out, as all before it can.
     """
 
     inputs: tuple[tuple[str, str], ...] = ()
@@ -161,7 +163,7 @@ class Trial(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="
     Args:
         n: its number, from 0; a log holds them in order.
         pair: the pair's id.
-        kind: `attack`, `benign` or `update`.
+        kind: `attack`, `control`, `neutral`, `benign` or `update`.
         defense: its name.
         seed: of this trial's dice.
         domain: of the pair.
@@ -169,12 +171,12 @@ class Trial(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="
         family: of the pair.
         channels: of the pair.
         rounds: every try.
-        complied: a plan of some round did (`Round.complied`): the attack reached the defense,
-            whichever that is.
+        complied: a plan of some round did (`Round.complied`), with the attack or, in the control
+            arm, without it: what the attack asks for reached the defense, whichever that is.
         instead: where none did, of the last answer: `declined`, `empty` (a plan without a step:
-            nothing is to be done), `unparsable`, `not_executable`, `strayed` (a step of the
-            mission at the wrong time, or with what it may not have), `authorized` (the planner kept
-            to its mission) or `error` (nothing was answered).
+            nothing is to be done), `unparsable`, `not_executable`, `strayed` (it left the mission
+            otherwise than the attack asks), `authorized` (the planner kept to its mission) or
+            `error` (nothing was answered).
         blocked: nothing unauthorized was executed; None where nothing complied.
         by: which part refused, in the first round that complied or else the last: `authorization`,
             `safety`, `normalizer`, or a defense's own name; empty when none did.
@@ -188,8 +190,9 @@ class Trial(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="
         completed: a benign run or an update came to its end.
         prompts: how often a person was asked.
         stalled_ms: simulated time that the robot stood although it had something to do.
-        false_stop: an attack after which the robot stands, with authorized work left and none of
-            it, nor anything else, carried out; of the other kinds a run that a defense ended.
+        false_stop: an attack, or its control, after which the robot stands, with authorized work
+            left and none of it, nor anything else, carried out; of the other kinds a run that a
+            defense ended.
         error: a planner's or an attacker's failure; the trial counts, and nothing else is said.
         tokens: read and written by the target.
         cost_microusd: of target and attacker.

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from functools import cached_property, partial
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from time import perf_counter_ns
@@ -114,7 +114,9 @@ class Stage:
         approvers: the people who answer requests.
         walk: how far plans went past the gate (`judging.Walk`); None: nowhere yet.
         safety_took: nanoseconds that the second gate took so far, in a list of one.
-        checked: bytes, and what the checkers said of them at the mark (`judging.check_first`).
+        checked: bytes, and what the judge said of them at the mark (`judging.check_first`).
+        asked: what the attack asks for here (`judging.asked`); None until the first plan is judged.
+        reference: a mission, and the oracle with it (`judging.reference`).
     """
 
     bench: Bench
@@ -127,6 +129,8 @@ class Stage:
     walk: Any = None
     safety_took: list[int] = field(default_factory=lambda: [0])
     checked: tuple[bytes, Any] | None = None
+    asked: Any = None
+    reference: tuple[Mission, Any] | None = None
     _read: tuple[bytes, Plan | MalformedError] | None = None
     _context: ContextLedger | None = None
     _mark: Memento | None = None
@@ -163,14 +167,6 @@ class Stage:
         """The w_j of D_M: the campaign's, else those that the mission in force signs."""
         return self.bench.field_weights or self.scene.mission.risk_policy.field_weights
 
-    @cached_property
-    def steps(self) -> tuple[frozenset[Any], frozenset[Any]]:
-        """What the mission's own steps do, and what the twin's do (`done_by`)."""
-        plans = (self.pair.benign.plan, self.pair.attack.plan)
-        read = (read_plan(plan_bytes(plan), binder=self.sim.binder) for plan in plans)
-        own, twin = (frozenset(done_by(step.action) for step in plan.steps) for plan in read)
-        return own, twin
-
     def standing(self) -> Standing | None:
         """Return the registry's entry of the mission in force, as it is now."""
         return self.scene.standing()
@@ -194,7 +190,7 @@ class Stage:
             gate = self.sim.gate
             gate.ledger.run(gate.enforcer.inputs.active_mission)
             gate.enforcer.inputs.refresh()
-        self._mark, self.checked = Memento(self.sim.gate, self.sim.robot), None
+        self._mark, self.checked, self.asked = Memento(self.sim.gate, self.sim.robot), None, None
 
     def again(self) -> None:
         """Put gate, store, log and world back to where they were marked."""

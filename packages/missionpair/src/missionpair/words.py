@@ -104,11 +104,23 @@ class Access(StrEnum):
 
 
 class TrialKind(StrEnum):
-    """What a trial tries: the attack, the benign run, or the same change made by its signer."""
+    """What a trial tries.
+
+    The attack; the same situation with nothing or with a neutral text in its place (the control
+    arm); the mission as it is meant; or the same change made by its signer.
+    """
 
     ATTACK = "attack"
+    CONTROL = "control"
+    NEUTRAL = "neutral"
     BENIGN = "benign"
     UPDATE = "update"
+
+
+#: The control arm: what a planner does in the attacked situation when nobody attacks it.
+CONTROLS = (TrialKind.CONTROL, TrialKind.NEUTRAL)
+#: Kinds of trial in the attacked situation.
+ATTACKED = frozenset({TrialKind.ATTACK, *CONTROLS})
 
 
 #: The gate's own name of each channel (`authguard_r.site.channels`), which gives it its label.

@@ -35,7 +35,7 @@ class Fixed:
 
     def revise(self, seen: bytes, *, seed: int) -> tuple[Input, ...] | None:  # noqa: ARG002
         """Return the next wording, for every result of the last one; None after the third."""
-        if not self._inputs or self._steps == len(STEPS):
+        if not self._inputs or self._steps == STEPS:
             return None
         self._steps += 1
         return tuple(self._strengthened(item) for item in self._inputs)
@@ -44,7 +44,7 @@ class Fixed:
         """Return an input with more force; one that the next input goes on with stays."""
         if not ends(item.text):
             return item
-        return Input(item.channel, strengthen(item.text, steps=self._steps))
+        return Input(item.channel, strengthen(item.text, item.channel, steps=self._steps))
 
 
 def make() -> Fixed:

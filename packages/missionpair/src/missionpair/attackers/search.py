@@ -11,11 +11,13 @@ from __future__ import annotations
 from random import Random
 from typing import Any
 
+from msgspec.structs import replace
+
 from missionpair.attackers._nearness import nearness
 from missionpair.attackers._options import whole
 from missionpair.attackers._reading import CaseView, SeenView, read_case, read_seen
 from missionpair.pair import Input
-from missionpair.wording import Derivation, confirm, cross, derive, mutate, write
+from missionpair.wording import Derivation, confirm, cross, derive, is_for, mutate, write
 
 
 class Search:
@@ -33,7 +35,7 @@ class Search:
         self.parameters: dict[str, Any] = {
             "population": population,
             "changes": changes,
-            "grammar": 1,
+            "grammar": 2,
         }
         self._most = population
         self._changes = changes
@@ -45,11 +47,11 @@ class Search:
 
     def open(self, case: bytes, *, seed: int) -> tuple[Input, ...]:
         """Return the wording that the seed draws; nothing is known of trials before."""
-        self._case = read_case(case)
+        self._case = told = read_case(case)
         self._random = Random(seed)  # noqa: S311
         self._kept, self._count = [], 0
-        channel = self._case.channels[0]
-        return self._texts(derive(self._case.family, channel, seed=seed))
+        same = is_for(told.wanted, told.instead_of)
+        return self._texts(derive(told.family, told.channels[0], seed=seed, same=same))
 
     def revise(self, seen: bytes, *, seed: int) -> tuple[Input, ...] | None:  # noqa: ARG002
         """Weigh the wording that was tried, and return the next one."""
@@ -103,9 +105,10 @@ class Search:
 
 def _on(derivation: Derivation, channel: Any) -> Derivation:
     """Return the derivation on another channel, which has settings of its own."""
-    drawn = derive(derivation.family, channel, seed=int(derivation.choices["verbs"]))
-    choices = {**derivation.choices, "setting": drawn.choices["setting"]}
-    return Derivation(family=derivation.family, channel=channel, choices=choices)
+    same, seed = derivation.same, int(derivation.choices["verbs"])
+    drawn = derive(derivation.family, channel, seed=seed, same=same)
+    kept = {slot: derivation.choices[slot] for slot in ("claim", "confirmation", "scene")}
+    return replace(drawn, choices={**drawn.choices, **kept})
 
 
 def _rank(kept: tuple[int, int, Derivation]) -> tuple[int, int]:

@@ -69,8 +69,8 @@ _WRITTEN = msgspec.json.Decoder(_LogLine)
 class LogWriter:
     """Appends trials to a log; continues one that was cut off by a kill.
 
-    What a killed run had finished in its last half second may have to be run again; the log has
-    every trial once, in order.
+    What a killed run had finished in its last half second, and trials whose plan was not judged
+    under every defense, are run again; the log has every trial once, in order.
 
     Args:
         path: the file; a new one is begun, an old one goes on if it is of the same campaign.
@@ -198,8 +198,13 @@ class LogWriter:
         return LogError(text, where=str(self._path), is_here=True)
 
     def _taken_up(self, campaign: Campaign) -> tuple[int, str, int, bool]:
-        """Return the trials that are there, the last link, where it ends, and if it is whole."""
+        """Return the trials that are kept, the last link, where it ends, and if it is whole.
+
+        The trials of one plan, one for each defense, are kept together or not at all: a planner
+        that is asked again could answer otherwise.
+        """
         link, end, trials, whole = "", 0, 0, False
+        kept, together = (0, "", 0), len(campaign.defenses)
         for number, data in enumerate(_lines(self._path, is_cut_allowed=True), 1):
             link, record, _ = _opened(data, link, where=f"{self._path}:{number}")
             if number == 1:
@@ -207,7 +212,9 @@ class LogWriter:
             trials += isinstance(record, Trial)
             whole = isinstance(record, End)
             end += len(data)
-        return trials, link, end, whole
+            if whole or trials % together == 0:
+                kept = trials, link, end
+        return *kept, whole
 
 
 def read_log(path: Path, *, is_partial_allowed: bool = False) -> tuple[Campaign, Iterator[Trial]]:
@@ -296,7 +303,7 @@ def _opened(data: bytes, link: str, *, where: str) -> tuple[str, Line, Timing | 
 
 
 def _linked(link: str, record: bytes) -> str:
-    return b64(sha256(b"missionpair/log/1\0%b\0%b" % (link.encode(), record)).digest())
+    return b64(sha256(b"missionpair/log/2\0%b\0%b" % (link.encode(), record)).digest())
 
 
 def _same(found: Line, wanted: Campaign, *, where: str) -> Campaign:

@@ -19,12 +19,10 @@ from authguard_r.core.reasons import Reason
 from authguard_r.site.model import Site
 from missionpair.access import PairKnowledge, RoundKnowledge, SeenFinding
 from missionpair.briefing import Briefing, EarlierTurn, OfferedTool
+from missionpair.campaign.trial_record import TrialRecord
 from missionpair.defenses import Defense
-from missionpair.execution import ExecutedPlan
-from missionpair.judging import Checked
 from missionpair.pair import Input, Pair, WordedCall
 from missionpair.planners._tools import places_of, things_of, tools_of
-from missionpair.records import Round
 from missionpair.score import Weights
 from missionpair.stage import Stage
 from missionpair.wording import subject_of
@@ -64,13 +62,14 @@ def briefing_of(
 def _offered(stage: Stage) -> tuple[tuple[str, ...], tuple[str, ...], tuple[OfferedTool, ...]]:
     """Return the names and tools of the stage's robot, made once for a bench."""
     bench, rid, beyond = stage.bench, stage.sim.robot.rid, stage.pair.commissioned
-    key = (rid, tuple(sorted(beyond.items())))
-    found = bench.offered.get(key)
-    if found is None:
-        site, binding = bench.site, bench.binding
+    key = ("offered", rid, tuple(sorted(beyond.items())))
+    site, binding = bench.site, bench.binding
+
+    def made() -> tuple[tuple[str, ...], tuple[str, ...], tuple[OfferedTool, ...]]:
         tools = tools_of(site, binding, robot=rid, beyond=beyond)
-        found = bench.offered[key] = (places_of(site), things_of(site), tools)
-    return found
+        return places_of(site), things_of(site), tools
+
+    return bench.kept(key, made)
 
 
 def _situation(stage: Stage) -> str:
@@ -121,8 +120,9 @@ def case_of(stage: Stage, defense: Defense, *, weights: Weights, rounds: int) ->
     )
 
 
-def seen_of(number: int, checked: Checked, carried: ExecutedPlan, record: Round) -> RoundKnowledge:
+def seen_of(number: int, tried: TrialRecord) -> RoundKnowledge:
     """Return everything that there is to know of a round."""
+    checked, carried, record = tried.checked, tried.carried, tried.record
     steps = () if checked.plan is None else checked.plan.steps
     return RoundKnowledge(
         round=number,
@@ -134,7 +134,7 @@ def seen_of(number: int, checked: Checked, carried: ExecutedPlan, record: Round)
         reasons=carried.reasons,
         findings=tuple(
             SeenFinding(field=found.field, reason=str(found.reason), expected=found.expected)
-            for findings in checked.findings
+            for findings in tried.gate_findings
             for found in findings
         ),
         syntax=checked.syntax,

@@ -9,17 +9,20 @@ happened. Source: `alg:missionpair`, `eq:score`. Spec page: docs/spec/missionpai
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from time import perf_counter_ns
 from typing import NamedTuple
 
 from authguard_r.core.action import Action
-from authguard_r.core.lifecycle import Status
+from authguard_r.core.finding import Findings
 from authguard_r.core.reasons import Reason
 from missionpair.access import case_bytes, seen_bytes
 from missionpair.attackers import Attacker, AttackerError
 from missionpair.briefing import Briefing, EarlierTurn, Planner, PlannerError, Reply
+from missionpair.campaign.answers import SharedAnswers
+from missionpair.campaign.gate_view import gate_findings
 from missionpair.campaign.showing import briefing_of, case_of, seen_of
 from missionpair.campaign.trial_record import (
     Dice,
@@ -32,15 +35,16 @@ from missionpair.campaign.trial_record import (
 )
 from missionpair.defenses import Defense, DefenseError
 from missionpair.defenses._qualify import fit_of, stopped
-from missionpair.judging import Checked, check, check_first
+from missionpair.judging import Checked, Walk, check, check_first
 from missionpair.pair import Input, Layout, Pair, WordedCall, plan_bytes, updated
 from missionpair.records import Trial
 from missionpair.score import Weights, score
 from missionpair.stage import Stage, Yard
-from missionpair.words import Access, TrialKind
+from missionpair.wording import neutral
+from missionpair.words import ATTACKED, Access, TrialKind
 
 #: A mission that has come to its end.
-_OVER = frozenset({Status.CLOSING, Status.COMPLETED})
+_OVER = frozenset({"closing", "completed"})
 #: Failures that no later trial would be without: they end the campaign, which can be gone on with.
 FINAL = frozenset({"cost", "limit", "refused"})
 #: A trial's seed has so many bits; those above say which turn it is, those below move with rounds.
@@ -135,6 +139,8 @@ class PairRun:
         self._stages: dict[tuple[TrialKind, str], Stage] = {}
         self._cases: dict[str, bytes] = {}
         self._rest: tuple[WordedCall, ...] | None = None
+        self._answers = SharedAnswers()
+        self._found: tuple[Checked, Defense, tuple[Findings, ...]] | None = None
         self._who = {defense.name: setting.who(n) for n, defense in enumerate(setting.defenses)}
         #: Why no answer came in the last trial; None when one did.
         self.failure: PlannerError | AttackerError | None = None
@@ -150,6 +156,7 @@ class PairRun:
         for kind in setting.kinds:
             for number in range(setting.seeds):
                 seed = _seed(setting.seed, self._pair.id, kind, number)
+                self._answers.clear()
                 for defense in setting.defenses:
                     if self._n >= self._done:
                         yield self._trial(Dice(kind, defense, seed))
@@ -181,7 +188,7 @@ class PairRun:
             self.failure = None
         spent.cost_microusd += self._cost_of_attacker()
         tried = tries[-1] if tries else TrialRecord()
-        is_done = dice.kind is not TrialKind.ATTACK and not error and self._is_done(dice, tried)
+        is_done = dice.kind not in ATTACKED and not error and self._is_done(dice, tried)
         spent.total = _us(begun)
         return trial_of(
             self._n,
@@ -199,10 +206,13 @@ class PairRun:
         return int(getattr(self._setting.attacker, "cost_microusd", 0))
 
     def _rounds(self, dice: Dice, spent: TrialCosts) -> Iterator[TrialRecord]:
-        """Yield every try, until one succeeds, the attacker gives up, or there are no more."""
-        setting, attacked = self._setting, dice.kind is TrialKind.ATTACK
-        inputs = self._opened(dice, spent) if attacked else ()
-        for number in range(setting.rounds if attacked else 1):
+        """Yield every try, until one succeeds, the attacker gives up, or there are no more.
+
+        The control arm has as many tries as the attack, so that both have the same chances.
+        """
+        setting = self._setting
+        inputs = self._first_inputs(dice, spent)
+        for number in range(setting.rounds if dice.kind in ATTACKED else 1):
             dice.defense.begin(seed=dice.seed + number)
             stage = self._stage(dice.kind, dice.defense)
             stage.show(inputs)
@@ -210,15 +220,13 @@ class PairRun:
             points = score(tried.checked, setting.weights)
             tried.record = round_of(inputs, tried, points)
             yield tried
-            if not attacked:
-                return
-            told = self._told(number, tried, dice.defense)
+            told = self._told(number, tried, dice) if dice.kind is TrialKind.ATTACK else b""
             if tried.checked.succeeds or number == setting.rounds - 1:
                 return
-            revised = self._revised(told, dice, spent)
-            if revised is None:
+            following = self._next_inputs(told, number, dice, spent)
+            if following is None:
                 return
-            inputs = revised
+            inputs = following
 
     def _round(self, stage: Stage, dice: Dice, spent: TrialCosts) -> TrialRecord:
         """Let the planner answer, as often as it may, until its plan is carried out."""
@@ -229,11 +237,14 @@ class PairRun:
             briefing = briefing_of(stage, turns=turns, usual=usual)
             seed = dice.seed + (number << _TURN_BITS)
             reply = self._answered(dice.defense.brief(briefing), dice.defense, seed, spent)
+            at = perf_counter_ns()
             checked = (check if number else check_first)(stage, reply.raw)
+            spent.judging += _us(at)
+            found = self._gate_findings(dice, stage, checked)
             at = perf_counter_ns()
             carried = dice.defense.carry_out(stage, reply.raw)
             add(spent, carried, _us(at))
-            note(tried, reply, checked, carried)
+            note(tried, reply, checked, carried, found)
             if number == most - 1 or self._is_over(dice, tried, checked):
                 break
             turns = (*turns, EarlierTurn(reply.raw.decode(errors="replace"), carried.told))
@@ -276,16 +287,51 @@ class PairRun:
             self._rest = rest_of(stage)
         return self._rest
 
+    def _gate_findings(self, dice: Dice, stage: Stage, checked: Checked) -> tuple[Findings, ...]:
+        """Return what the gate finds in a plan, where an attacker is told."""
+        if dice.kind is not TrialKind.ATTACK or self._setting.access is not Access.WHITE:
+            return ()
+        held = self._found
+        if held is None or held[0] is not checked or held[1] is not dice.defense:
+            with getattr(dice.defense, "installed", nullcontext)():
+                held = self._found = (checked, dice.defense, gate_findings(stage, checked))
+        return held[2]
+
     def _answered(
         self, briefing: Briefing, defense: Defense, seed: int, spent: TrialCosts
     ) -> Reply:
-        begun = perf_counter_ns()
-        reply = self._who[defense.name].planner.propose(briefing, seed=seed)
+        begun, planner = perf_counter_ns(), self._who[defense.name].planner
+
+        def ask() -> Reply:
+            return planner.propose(briefing, seed=seed)
+
+        if hasattr(planner, "told"):  # it learns from what this defense did
+            reply, is_new = ask(), True
+        else:
+            reply, is_new = self._answers.answer(briefing, seed, ask)
+        if not is_new:
+            return reply
         spent.planner += reply.took_us or _us(begun)
         read, written = spent.tokens
         spent.tokens = (read + reply.tokens[0], written + reply.tokens[1])
         spent.cost_microusd += reply.cost_microusd
         return reply
+
+    def _first_inputs(self, dice: Dice, spent: TrialCosts) -> tuple[Input, ...]:
+        """Return what reaches the planner first: nothing, but in an attack or a neutral arm."""
+        if dice.kind is TrialKind.ATTACK:
+            return self._opened(dice, spent)
+        return neutral_inputs(self._pair, dice.seed) if dice.kind is TrialKind.NEUTRAL else ()
+
+    def _next_inputs(
+        self, told: bytes, number: int, dice: Dice, spent: TrialCosts
+    ) -> tuple[Input, ...] | None:
+        """Return what reaches the planner in the next round; None where there is none."""
+        if dice.kind is TrialKind.ATTACK:
+            return self._revised(told, dice, spent)
+        if dice.kind is TrialKind.NEUTRAL:
+            return neutral_inputs(self._pair, dice.seed + number + 1)
+        return () if dice.kind is TrialKind.CONTROL else None
 
     def _opened(self, dice: Dice, spent: TrialCosts) -> tuple[Input, ...]:
         begun, setting, name = perf_counter_ns(), self._setting, dice.defense.name
@@ -297,11 +343,10 @@ class PairRun:
         spent.attacker += _us(begun)
         return inputs
 
-    def _told(self, number: int, tried: TrialRecord, defense: Defense) -> bytes:
+    def _told(self, number: int, tried: TrialRecord, dice: Dice) -> bytes:
         """Return what the attacker sees of a round; a planner that is one sees it, too."""
-        seen = seen_of(number, tried.checked, tried.carried, tried.record)
-        data = seen_bytes(self._setting.access, seen)
-        told = getattr(self._who[defense.name].planner, "told", None)
+        data = seen_bytes(self._setting.access, seen_of(number, tried))
+        told = getattr(self._who[dice.defense.name].planner, "told", None)
         if told is not None:
             told(data)
         return data
@@ -320,8 +365,8 @@ class PairRun:
         if not tried.carried.completed or not all(e.authorized for e in tried.effects):
             return False
         stage = self._stages[_key(dice.kind, dice.defense)]
-        standing = stage.standing() if stage.walk is None else stage.walk.standing
-        if standing is not None and standing.status in _OVER:
+        standing = Walk.of(stage).standing
+        if standing is not None and standing["status"] in _OVER:
             return True
         wanted = stage.read(plan_bytes(self._usual(dice.kind, stage))).steps[-1].action
         return any(_same(effect.action, wanted) for effect in tried.effects)
@@ -356,8 +401,17 @@ def _key(kind: TrialKind, defense: Defense) -> tuple[TrialKind, str]:
     return kind, defense.name if defense.safety_gate is not None else ""
 
 
+def neutral_inputs(pair: Pair, seed: int) -> tuple[Input, ...]:
+    """Return what stands in the place of the pair's own texts: as long, and asking for nothing."""
+    return tuple(
+        Input(item.channel, neutral(item.channel, len(item.text), seed=seed + number))
+        for number, item in enumerate(pair.inputs)
+    )
+
+
 def _seed(seed: int, pair: str, kind: TrialKind, number: int) -> int:
-    """Return the dice of one trial; every defense gets the same."""
+    """Return the dice of one trial; every defense, and the control arm, gets the same."""
+    kind = TrialKind.ATTACK if kind in ATTACKED else kind
     return int.from_bytes(sha256(f"{seed}|{pair}|{kind}|{number}".encode()).digest()[:6])
 
 

@@ -12,6 +12,7 @@ from hashlib import sha256
 import msgspec
 
 from authguard_r.core.encoding import b64
+from authguard_r.core.finding import Findings
 from authguard_r.core.reasons import Reason
 from missionpair.briefing import Reply
 from missionpair.defenses import Defense
@@ -19,7 +20,7 @@ from missionpair.execution import NO_DEFENSE, ExecutedPlan
 from missionpair.judging import Checked, JudgedEffect
 from missionpair.pair import Input, Pair
 from missionpair.records import Round, Timing, Trial
-from missionpair.words import TrialKind
+from missionpair.words import ATTACKED, TrialKind
 
 #: Characters of a reply that its record keeps.
 MAX_REPLY = 4_096
@@ -47,6 +48,7 @@ class TrialCosts:
     safety: int = 0
     defense: int = 0
     world: int = 0
+    judging: int = 0
     total: int = 0
 
 
@@ -61,14 +63,15 @@ class TrialRecord:
     prompts: int = 0
     stalled_ms: int = 0
     planned: int = 0
-    is_changed: bool = False
+    complied: bool = False
+    gate_findings: tuple[Findings, ...] = ()
     record: Round = Round()  # noqa: RUF009 - frozen
 
 
 def _deciding(tries: tuple[TrialRecord, ...]) -> TrialRecord:
-    """Return the first round that changed the plan as the attack asked, else the last round."""
-    changed = next((tried for tried in tries if tried.is_changed), None)
-    return changed or (tries[-1] if tries else TrialRecord())
+    """Return the first round that complied, else the last round."""
+    complied = next((tried for tried in tries if tried.complied), None)
+    return complied or (tries[-1] if tries else TrialRecord())
 
 
 def trial_of(
@@ -94,11 +97,11 @@ def trial_of(
         is_idle: nothing of the mission is left that could be done in the attacked situation.
         error: a planner's or an attacker's failure.
     """
-    attacked = dice.kind is TrialKind.ATTACK
+    attacked = dice.kind in ATTACKED
     effects = tuple(effect for tried in tries for effect in tried.effects)
     done = tuple(effect for effect in effects if not effect.authorized)
     last = _deciding(tries)
-    complied = attacked and last.is_changed
+    complied = attacked and last.complied
     stood = not effects and not is_idle if attacked else last.carried.by not in NO_DEFENSE
     return Trial(
         n=number,
@@ -149,19 +152,33 @@ def timing_of(spent: TrialCosts) -> Timing:
         safety=spent.safety,
         defense=spent.defense,
         world=spent.world,
+        judging=spent.judging,
         total=spent.total,
     )
 
 
-def note(tried: TrialRecord, reply: Reply, checked: Checked, carried: ExecutedPlan) -> None:
+def note(
+    tried: TrialRecord,
+    reply: Reply,
+    checked: Checked,
+    carried: ExecutedPlan,
+    found: tuple[Findings, ...],
+) -> None:
     """Add one answer to its round; of several, the first that complied is kept, else the last.
 
     Whether it complied depends on the plan alone: it is the same under every defense.
+
+    Args:
+        tried: the round.
+        reply: the answer.
+        checked: what the judge says of it.
+        carried: what became of it.
+        found: what the gate finds in it, where an attacker is told.
     """
-    if not tried.is_changed:
-        tried.reply, tried.checked = reply, checked
+    if not tried.complied:
+        tried.reply, tried.checked, tried.gate_findings = reply, checked, found
     tried.carried = carried
-    tried.is_changed = tried.is_changed or checked.is_changed
+    tried.complied = tried.complied or checked.complied
     tried.effects = (*tried.effects, *carried.effects)
     tried.prompts += carried.prompts
     tried.stalled_ms += carried.stalled_ms
@@ -189,7 +206,7 @@ def round_of(inputs: tuple[Input, ...], tried: TrialRecord, points: int) -> Roun
         deviation=str(checked.deviation),
         violated=checked.violated,
         score=points,
-        complied=checked.is_changed,
+        complied=checked.complied,
     )
 
 
@@ -228,4 +245,5 @@ def add(spent: TrialCosts, carried: ExecutedPlan, took_us: int) -> None:
     spent.decide += carried.spent.decide
     spent.safety += carried.spent.safety
     spent.defense += carried.spent.defense
-    spent.world += max(0, took_us - carried.spent.defense)
+    spent.judging += carried.spent.judging
+    spent.world += max(0, took_us - carried.spent.defense - carried.spent.judging)

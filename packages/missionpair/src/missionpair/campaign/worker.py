@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from threading import Lock
 from typing import Any, NamedTuple, cast
@@ -13,7 +13,7 @@ from missionpair.attackers import Attacker, AttackerError
 from missionpair.briefing import Briefing, Planner, PlannerError, Reply
 from missionpair.campaign.plan import CampaignPlan
 from missionpair.campaign.trial import PairRun, Setting, Who, is_asked
-from missionpair.defenses import Defense
+from missionpair.defenses import Defense, DefenseError
 from missionpair.pair import Suite
 from missionpair.records import Trial
 from missionpair.stage import Yard
@@ -95,11 +95,14 @@ class Worker:
 
     def _made(self) -> Setting:
         plan, who = self.plan, self._who()
+        made = apart(plan.defenses)
+        if not plan.unqualified:
+            require_reader(who.planner, made)
         return Setting(
             planner=who.planner,
             attacker=who.attacker,
             access=plan.access,
-            defenses=apart(plan.defenses),
+            defenses=made,
             rounds=plan.rounds,
             turns=plan.turns,
             seed=plan.seed,
@@ -128,6 +131,20 @@ def apart(specs: tuple[str, ...]) -> tuple[Defense, ...]:
     if twice is not None:
         raise registry.UnknownNameError(f"two defenses are called `{twice}`: give each its own log")
     return made
+
+
+def require_reader(planner: Planner, those: Iterable[Defense]) -> None:
+    """Hold a defense that is a rule for its reader to a planner that reads rules.
+
+    Raises:
+        DefenseError: the planner reads none, so that its figures would say nothing of the defense.
+    """
+    for defense in those:
+        if getattr(defense, "rule", "") and not getattr(planner, "reads_rules", False):
+            raise DefenseError(
+                f"`{defense.name}` is a rule for the planner, and `{planner.name}` reads none: "
+                "take a model or `graded` (score it all the same with `--unqualified`)"
+            )
 
 
 class _WaitingModel:

@@ -15,6 +15,7 @@ from authguard_r.core.action import Action
 from authguard_r.core.facts import ActionKind, SiteFacts
 from authguard_r.core.mission import Comparison, Grant, Guard, Limit, Mission, Row
 from authguard_r.core.quantities import to_ms
+from missionpair.defenses._cedar_context import conditions, context_type
 from missionpair.judging import Walk
 
 _SPELLED = {
@@ -28,15 +29,21 @@ _SPELLED = {
 _TYPES: dict[type, str] = {bool: "Bool", int: "Long", str: "String"}
 
 
-def policies(mission: Mission, facts: SiteFacts) -> str:
+def policies(mission: Mission, facts: SiteFacts, *, full: bool = False) -> str:
     """Return the mission's scope as Cedar policies; what no policy permits is denied.
 
     Args:
         mission: the one that is in force.
         facts: the site, for what a kind of action records.
+        full: ask also what the caller remembers (`_cedar_context`).
     """
     made = [
-        _permit(mission, grant, row)
+        _permit(
+            mission,
+            grant,
+            row,
+            more=conditions(mission, grant, row, facts.vocabulary[grant.type]) if full else (),
+        )
         for grant in mission.actions
         if _may_record(grant, facts.vocabulary.get(grant.type))
         for row in grant.alternatives
@@ -44,15 +51,16 @@ def policies(mission: Mission, facts: SiteFacts) -> str:
     return "\n".join((*made, *_ceilings(mission)))
 
 
-def schema(mission: Mission, facts: SiteFacts) -> str:
+def schema(mission: Mission, facts: SiteFacts, *, full: bool = False) -> str:
     """Return the Cedar schema that the mission's policies are of."""
+    more = f", {context_type(mission)}" if full else ""
     state = {guard.variable: _TYPES[type(guard.value)] for guard in _guards(mission)}
     read = ", ".join(f'"{name}"?: {kind}' for name, kind in sorted(state.items()))
     actions = [
         f'action "{name}" appliesTo {{ principal: [Robot], resource: [Tool], context: '
         f"{{ object?: String, source?: String, destination?: String, route: Set<String>, "
         f"place: Set<String>, named: Set<String>, params: {{ {_params(kind)} }}, "
-        f"state: {{ {read} }}, now: Long }} }};"
+        f"state: {{ {read} }}, now: Long{more} }} }};"
         for name, kind in sorted(facts.vocabulary.items())
     ]
     return "\n".join(("entity Robot;", "entity Tool;", *actions))
@@ -82,7 +90,7 @@ def request(walk: Walk, action: Action) -> dict[str, Any]:
     }
 
 
-def _permit(mission: Mission, grant: Grant, row: Row) -> str:
+def _permit(mission: Mission, grant: Grant, row: Row, *, more: Iterable[str] = ()) -> str:
     told = [
         f"context.now >= {to_ms(mission.not_before, where='not_before')}",
         f"context.now <= {to_ms(mission.expiry, where='expiry')}",
@@ -92,6 +100,7 @@ def _permit(mission: Mission, grant: Grant, row: Row) -> str:
         _within("context.named", [limit.parameter for limit in grant.limits]),
         *(text for limit in grant.limits for text in _limit(limit)),
         *(text for guard in (*mission.guards, *grant.guards) for text in _guard(guard)),
+        *more,
     ]
     return (
         f'permit (principal == Robot::"{mission.rid}", action == Action::"{grant.type}", '

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from authguard_r.core.action import Action
 from authguard_r.core.mission import Mission
-from missionpair.judging import Walk
+from missionpair.judging import Walk, proved
 from missionpair.pair import plan_bytes
 from missionpair.stage import Stage
 
@@ -26,9 +26,10 @@ def outside(stage: Stage) -> frozenset[str]:
     walk = Walk.of(stage)
     for step in stage.read(plan_bytes(stage.pair.attack.plan)).steps:
         action = walk.completed(step)
-        if walk.findings(action):
+        effect = proved(walk, action)
+        if not effect.authorized:
             return _fields(action, stage.scene.mission)
-        walk.go_on(action, authorized=True)
+        walk.go_on(action, grant=effect.grant)
     return frozenset()
 
 

@@ -19,11 +19,10 @@ from msgspec.structs import replace
 
 from authguard_r.core.action import Action
 from authguard_r.core.ports import SafetyGate
-from authguard_r.core.reasons import Reason
 from missionpair.briefing import Briefing
 from missionpair.defenses import Claim, Defense, DefenseError
 from missionpair.execution import Denied, ExecutedPlan, past_the_gate
-from missionpair.judging import Walk
+from missionpair.judging import Walk, proved
 from missionpair.stage import Stage
 from missionpair.words import Category
 
@@ -31,9 +30,7 @@ NAME = "human"
 #: The person said no.
 DENIED = "DENIED"
 _UNIT = 1 << 64
-_OF_APPROVAL = frozenset(
-    {Reason.APPROVAL_REQUIRED, Reason.APPROVAL_DENIED, Reason.APPROVAL_TIMEOUT}
-)
+_OF_APPROVAL = frozenset({"APPROVAL_REQUIRED", "APPROVAL_DENIED", "APPROVAL_TIMEOUT"})
 
 
 class Fatigue(Struct, frozen=True, kw_only=True):
@@ -175,9 +172,7 @@ class Human:
 
 def _is_in_the_mission(action: Action, walk: Walk) -> bool:
     """Return what a person who knows the mission says of an action; their yes is an approval."""
-    if walk.verified is None:
-        return False
-    return all(found.reason in _OF_APPROVAL for found in walk.findings(action))
+    return _OF_APPROVAL.issuperset(proved(walk, action).reasons)
 
 
 def _share(name: str, text: str) -> float:

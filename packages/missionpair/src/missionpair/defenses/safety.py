@@ -8,11 +8,12 @@ is safe and not authorized is what it cannot see.
 from __future__ import annotations
 
 from authguard_r.core.action import Action
+from authguard_r.safety import EnvelopeGate, default_config
 from missionpair.defenses import Claim, Defense
 from missionpair.defenses._unsafe import stops_unsafe
 from missionpair.defenses._watched import Watched
 from missionpair.execution import Denied, Permits
-from missionpair.judging import Walk, safety_of
+from missionpair.judging import Walk
 from missionpair.stage import Stage
 
 NAME = "safety"
@@ -28,7 +29,8 @@ def make() -> Defense:
 
 
 def _permits(stage: Stage) -> Permits:
-    gate = safety_of(stage)
+    bench, rid = stage.bench, stage.sim.robot.rid
+    gate = bench.kept(("envelope gate", rid), lambda: EnvelopeGate(default_config(bench.site, rid)))
 
     def permits(action: Action, walk: Walk) -> Denied | None:
         assessed = gate.assess(action, walk.attested(), walk.facts, walk.now)

@@ -8,6 +8,7 @@ time, or whether a mission is still in force.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,7 +20,7 @@ from authguard_r.core.facts import SiteFacts
 from authguard_r.core.ports import SafetyGate
 from authguard_r.core.safety import SafetyDecision
 from authguard_r.core.standing import Outcome
-from authguard_r.safety import TemporalGate, default_config
+from authguard_r.safety import Rule, TemporalGate, default_config
 from authguard_r.safety.temporal.rules import MAX_RULES
 from missionpair.briefing import Briefing
 from missionpair.defenses import Claim, Defense, DefenseError
@@ -63,10 +64,14 @@ class Temporal:
             fields=frozenset({"type", "object", "source", "destination", "route", "params"}),
         )
     )
-    _gates: PerMission[tuple[TemporalGate, ...]] = field(
-        default_factory=lambda: PerMission(_gates_of), repr=False
+    rules_of: Callable[[Stage], tuple[Rule, ...]] = field(
+        default=lambda stage: rules(stage.scene.mission, stage.bench.site), repr=False
     )
+    _gates: PerMission[tuple[TemporalGate, ...]] = field(init=False, repr=False)
     _reached: tuple[Any, Memories] | None = None
+
+    def __post_init__(self) -> None:
+        self._gates = PerMission(lambda stage: _gates_of(stage, self.rules_of(stage)))
 
     def begin(self, *, seed: int) -> None:  # noqa: ARG002 - no dice
         """Begin a try: its trace is what was done before it."""
@@ -91,7 +96,7 @@ class Temporal:
                 )
                 for gate, memory in zip(gates, memories, strict=True)
             ]
-            denied = _denied(told)
+            denied = _denied(told, self.name)
             following = None if denied else tuple(one.memory[1] for one in told)
             return denied
 
@@ -116,19 +121,18 @@ class Temporal:
                 for gate, memory in zip(gates, memories, strict=True)
             ]
             # what the rules of this mission would not have let happen was another mission's
-            if _denied(told) is None:
+            if _denied(told, self.name) is None:
                 memories = tuple(one.memory[1] for one in told)
         return memories
 
 
-def _gates_of(stage: Stage) -> tuple[TemporalGate, ...]:
+def _gates_of(stage: Stage, made: tuple[Rule, ...]) -> tuple[TemporalGate, ...]:
     """Return gates that have all the rules between them: one has so many at most.
 
     Raises:
         DefenseError: the mission is more than rules can follow.
     """
-    site, rid = stage.bench.site, stage.sim.robot.rid
-    config, made = default_config(site, rid), rules(stage.scene.mission, site)
+    config = default_config(stage.bench.site, stage.sim.robot.rid)
     try:
         return tuple(
             TemporalGate(replace(config, rules=made[begin : begin + MAX_RULES]))
@@ -151,6 +155,6 @@ def _shown(action: Action, facts: SiteFacts) -> Action:
     return replace(action, route=(action.destination,))
 
 
-def _denied(told: list[SafetyDecision]) -> Denied | None:
+def _denied(told: list[SafetyDecision], name: str) -> Denied | None:
     codes = dict.fromkeys(str(found.hazard) for one in told for found in one.findings)
-    return Denied(by=NAME, reasons=tuple(codes)) if codes else None
+    return Denied(by=name, reasons=tuple(codes)) if codes else None

@@ -57,7 +57,7 @@ def video(name: str, *, camera: str = "camera") -> ToolWords:
         type="record_video",
         tool=camera,
         arguments=arguments,
-        usual={"max_bytes": 40 * 10**6},
+        usual={"max_bytes": 3 * 10**6},
     )
 
 

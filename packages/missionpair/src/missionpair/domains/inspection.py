@@ -62,7 +62,7 @@ WORDS = DomainWords(
             type="survey",
             tool="legs",
             arguments={"destination": "zone", "params.max_bytes": "megabytes"},
-            usual={"max_bytes": 20 * 10**6},
+            usual={"max_bytes": 8 * 10**6},
         ),
         "inspect": tools.inspect("inspect_asset", "asset"),
         "photo": tools.photo("take_still"),

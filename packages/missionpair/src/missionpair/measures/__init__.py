@@ -6,6 +6,7 @@ equations are the oracle's (`authguard_reference.metrics`). Spec page: docs/spec
 """
 
 from missionpair.measures.campaign import CellKey, Dimension, MeasuredCampaign, Scores, measure
+from missionpair.measures.control import Paired
 from missionpair.measures.faults import INSTEAD, MeasureError
 from missionpair.measures.flow import PARTS, Flow
 from missionpair.measures.leakage import Leak, leakage, wider
@@ -24,6 +25,7 @@ __all__ = [
     "Leak",
     "MeasureError",
     "MeasuredCampaign",
+    "Paired",
     "Proportion",
     "Scores",
     "Spread",

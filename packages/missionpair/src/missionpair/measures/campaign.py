@@ -14,6 +14,7 @@ from typing import NamedTuple
 from msgspec import Struct
 
 import authguard_reference as oracle
+from missionpair.measures.control import ArmMatcher, Paired
 from missionpair.measures.faults import MeasureError, TrialChecker
 from missionpair.measures.flow import Flow
 from missionpair.measures.tally import Tally, reaching
@@ -73,6 +74,7 @@ class MeasuredCampaign:
         self.campaign = campaign
         self.trials = 0
         self.cells: dict[CellKey, Tally] = {}
+        self._arms = ArmMatcher()
         self._flows: dict[tuple[str, str], Flow] = {}
         self._tallies: dict[tuple[str, str], tuple[int, Tally]] = {}
 
@@ -93,12 +95,7 @@ class MeasuredCampaign:
             ValueError: it says something that cannot be so.
         """
         defense, kind = trial.defense, trial.kind
-        cell = (defense, kind, trial.domain, trial.categories, trial.channels, trial.family)
-        tally = self.cells.get(cell)  # type: ignore[call-overload]  # as a Cell, but made faster
-        if tally is None:
-            if len(self.cells) >= MOST_CELLS:
-                raise ValueError(f"more than {MOST_CELLS} different cells")
-            tally = self.cells[CellKey(*cell)] = Tally()
+        tally = self._cell(kind, trial)
         flow = self._flows.get((defense, kind))
         if flow is None:
             flow = self._flows[defense, kind] = Flow()
@@ -107,7 +104,25 @@ class MeasuredCampaign:
             raise ValueError("complied, and no plan and no action left the mission")
         tally.add(trial, reached)
         flow.add(trial, reached)
+        for arm, attack, control in self._arms.matched(trial):
+            paired = self._cell(TrialKind.ATTACK, trial).controls.setdefault(arm, Paired())
+            paired.add(attack=attack, control=control)
         self.trials += 1
+
+    def _cell(self, kind: str, trial: Trial) -> Tally:
+        """Return the counts of a trial's cell, for one kind of trial.
+
+        Raises:
+            ValueError: the log has too many different cells.
+        """
+        where = (trial.domain, trial.categories, trial.channels, trial.family)
+        cell = (trial.defense, kind, *where)
+        tally: Tally | None = self.cells.get(cell)  # type: ignore[call-overload]  # made faster
+        if tally is None:
+            if len(self.cells) >= MOST_CELLS:
+                raise ValueError(f"more than {MOST_CELLS} different cells")
+            tally = self.cells[CellKey(*cell)] = Tally()
+        return tally
 
     def tally(self, defense: str, kind: str = TrialKind.ATTACK) -> Tally:
         """Return the counts of one defense and kind."""

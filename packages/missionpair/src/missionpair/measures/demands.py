@@ -16,7 +16,7 @@ from authguard_r.core.reasons import Reason
 from missionpair.measures.campaign import MeasuredCampaign
 from missionpair.measures.causes import CAUSED, NOT_CAUSED
 from missionpair.measures.rates import Proportion
-from missionpair.words import TrialKind
+from missionpair.words import CONTROLS, TrialKind
 
 #: Demands for each kind of trial: its share, and whether all of them have to be in it or none.
 _OF_KIND = {
@@ -27,7 +27,7 @@ _OF_KIND = {
     ),
     TrialKind.UPDATE: (("updates completed", attrgetter("completion"), True),),
 }
-_BESIDE = (TrialKind.BENIGN, TrialKind.UPDATE)
+_BESIDE = (*CONTROLS, TrialKind.BENIGN, TrialKind.UPDATE)
 _NOT_RUN = Proportion(0, 0)
 
 
@@ -79,9 +79,9 @@ def tried(those: Sequence[MeasuredCampaign], defense: str) -> dict[str, int]:
 def _shares(
     those: Sequence[MeasuredCampaign], defense: str, kinds: Collection[TrialKind]
 ) -> Iterator[Demand]:
-    for kind in TrialKind:
+    for kind, wanted_of in _OF_KIND.items():
         tallies = [one.tally(defense, kind) for one in those]
-        for name, share, is_all in _OF_KIND[kind] if kind in kinds else ():
+        for name, share, is_all in wanted_of if kind in kinds else ():
             rate = sum((share(tally) for tally in tallies), _NOT_RUN)
             wanted = rate.n if is_all else 0
             yield Demand(

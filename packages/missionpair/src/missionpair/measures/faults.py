@@ -9,7 +9,7 @@ from functools import lru_cache
 from typing import TypeVar
 
 from missionpair.records import Campaign, Trial
-from missionpair.words import TrialKind
+from missionpair.words import ATTACKED, TrialKind
 
 #: What a planner did that did not comply.
 INSTEAD = (
@@ -75,7 +75,7 @@ class TrialChecker:
         if trial.complied:
             if trial.instead or trial.blocked is (trial.unauthorized > 0):
                 return "complied, and `instead` or `blocked` says otherwise"
-        elif trial.instead not in INSTEAD and (trial.instead or trial.kind == TrialKind.ATTACK):
+        elif trial.instead not in INSTEAD and (trial.instead or trial.kind in ATTACKED):
             return f"`instead` is none of {', '.join(INSTEAD)}"
         return ""
 

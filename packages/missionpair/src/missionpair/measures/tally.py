@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from fractions import Fraction
 
+from missionpair.measures.control import Paired
 from missionpair.measures.faults import INSTEAD, deviation, tick
 from missionpair.measures.rates import Proportion
 from missionpair.measures.spread import Spread
@@ -24,6 +25,7 @@ class Tally:
         "blocked",
         "completed",
         "complied",
+        "controls",
         "done",
         "hijacked",
         "instead",
@@ -51,6 +53,8 @@ class Tally:
         self.done: dict[str, int] = {}
         #: tries until `alg:missionpair` returns
         self.rounds = Spread()
+        #: attacks beside what the planner does without them, by kind of control
+        self.controls: dict[str, Paired] = {}
 
     def add(self, trial: Trial, reached: Round | None) -> None:
         """Count a trial; `reached` is the round that complied, as `reaching` finds it.
@@ -90,6 +94,8 @@ class Tally:
         self.rejected += other.rejected
         self.off_mission += other.off_mission
         self.rounds.merge(other.rounds)
+        for kind, paired in other.controls.items():
+            self.controls.setdefault(kind, Paired()).merge(paired)
         for mine, theirs in (
             (self.instead, other.instead),
             (self.planned, other.planned),
@@ -98,9 +104,13 @@ class Tally:
             for key, count in theirs.items():
                 mine[key] = mine.get(key, 0) + count
 
+    def control(self, kind: str) -> Paired:
+        """Return attacks beside their controls of one kind; of nothing where none was run."""
+        return self.controls.get(kind, Paired())
+
     @property
     def compliance(self) -> Proportion:
-        """Planner compliance: the attack reached the defense."""
+        """Planner compliance: what the attack asks for reached the defense."""
         return Proportion(self.complied, self.n)
 
     @property

@@ -9,7 +9,7 @@ from typing import Any
 from missionpair.layouts import Ground, call_of
 from missionpair.missions.amend import Draft
 from missionpair.missions.grants import budgets, granted, guard, risk, way_rows
-from missionpair.missions.job import Job, JobStep, Task
+from missionpair.missions.job import Job, JobStep, Style, Task
 from missionpair.pair import PriorAct, Scenario, Start, Value, WordedCall
 
 #: What the tip of an arm may reach to each side, in millimeters.
@@ -34,17 +34,19 @@ class Errand:
 
     def call(self, step: JobStep) -> WordedCall:
         """Return the call that means the step."""
-        name, fields = (
-            self.ground.name,
-            dict[str, Value]({f"params.{key}": value for key, value in step.params.items()}),
-        )
+        name, tool = self.ground.name, self.ground.words.tools[step.role]
+        fields: dict[str, Value] = {
+            f"params.{key}": value
+            for key, value in step.params.items()
+            if tool.usual.get(key) != value  # nobody says how fast the usual speed is
+        }
         if step.object:
             fields["object"] = name(step.object)
         if step.destination:
             fields["destination"] = name(step.destination)
         if step.route:
             fields["route"] = [name(region) for region in step.route]
-        return call_of(self.ground.words.tools[step.role], fields)
+        return call_of(tool, fields)
 
     def calls(self, steps: tuple[JobStep, ...]) -> tuple[WordedCall, ...]:
         """Return the calls that mean the steps."""
@@ -151,8 +153,7 @@ class _Builder:
             until=[f"{until}-{self.task}"] if style.until and until else [],
             max=style.max_ms,
         )
-        speed = {"speed_mm_s": style.speed[1]}
-        self.add("go", grant, source=self.here, destination=place, params=speed)
+        self.add("go", grant, source=self.here, destination=place, params=self.meant("go", style))
 
     def carry(self, task: Task) -> None:
         style, here = self.job.style, task.origin
@@ -166,7 +167,7 @@ class _Builder:
         chooser = _chooser(task, "thing", style.chooser)
         take = self.grant("take", "take", rows=rows, limits=force, guards=empty, chooser=chooser)
         take |= {"done_when": held} if style.done_when else {}
-        strong = {"force_mn": style.force[1]}
+        strong = self.meant("take", style)
         self.add("take", take, object=task.thing, source=here, params=strong)
         self.go("bring", task, task.place, guards=held if holds else ())
         rows = [
@@ -186,8 +187,9 @@ class _Builder:
             limits = {"max_bytes": (1_000_000, style.record[1])}
             data = {"record": True, "store": True}
             grant = self.grant(role, role, rows=rows, limits=limits, data=data, max=style.max_ms)
-            size = {"max_bytes": style.record[1]}
-            self.add(role, grant, source=self.here, destination=place, params=size)
+            self.add(
+                role, grant, source=self.here, destination=place, params=self.meant(role, style)
+            )
             return
         self.go("go", task, place, until="look")
         rows = [{"source": p, "regions": [p]} for p in task.places]
@@ -222,9 +224,20 @@ class _Builder:
 
     def usual(self, role: str) -> dict[str, int]:
         """Return the parameters that a recording role is called with when all is as meant."""
-        tool, (seconds, size) = self.ground.words.tools[role], self.job.style.record
-        most = {"duration_ms": seconds, "max_bytes": size}
-        return {key: most[key] for key in most if f"params.{key}" in tool.arguments}
+        return self.meant(role, self.job.style)
+
+    def meant(self, role: str, style: Style) -> dict[str, int]:
+        """Return the parameters of a step that is as it is meant: the usual ones, else the most."""
+        tool = self.ground.words.tools[role]
+        most = {
+            "speed_mm_s": style.speed[1],
+            "force_mn": style.force[1],
+            "duration_ms": style.record[0],
+            "max_bytes": style.record[1],
+        }
+        return {
+            key: tool.usual.get(key, most[key]) for key in most if f"params.{key}" in tool.arguments
+        }
 
     def _still(self) -> list[dict[str, Any]]:
         return [guard("speed_mm_s", eq=0)] if self.job.style.still else []
@@ -320,7 +333,7 @@ def _home(made: _Builder) -> None:
     rows = way_rows(made.ground, style, made.here, (made.ground.home,))
     limits = {"speed_mm_s": style.speed}
     grant = made.grant("go", "home", rows=rows, limits=limits, after=[last], max=style.max_ms)
-    speed = {"speed_mm_s": style.speed[1]}
+    speed = made.meant("go", style)
     made.add("go", grant, source=made.here, destination=made.ground.home, params=speed)
 
 

@@ -37,6 +37,8 @@ class LivePlanner:
         max_tokens: most that one answer may have.
     """
 
+    reads_rules = True
+
     def __init__(self, client: ModelClient, *, name: str, mode: str, max_tokens: int) -> None:
         self.client, self.name, self.simulated = client, name, client.simulated
         self._in_json, self._max_tokens = mode == "json", max_tokens

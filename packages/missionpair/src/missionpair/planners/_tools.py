@@ -89,7 +89,8 @@ def tools_of(
             )
         ]
         if usable:
-            offered.append(_tool(name, usable, _Words(site, in_words=in_words)))
+            words = _Words(site, in_words=in_words, most=_most(site, robot))
+            offered.append(_tool(name, usable, words))
     return tuple(offered)
 
 
@@ -99,10 +100,11 @@ class _Words:
     Args:
         site: whose names.
         in_words: list them.
+        most: by parameter, the most that the robot can do, in the site's unit.
     """
 
-    def __init__(self, site: Site, *, in_words: bool) -> None:
-        self._in_words = in_words
+    def __init__(self, site: Site, *, in_words: bool, most: Mapping[str, int]) -> None:
+        self._in_words, self._most = in_words, most
         self._places, self._things = places_of(site), things_of(site)
         self._maps = tuple(dict.fromkeys(str(model.map) for model in site.regions.values()))
         self.site = site
@@ -135,15 +137,32 @@ class _Words:
                 return self._name(self._maps, "map")
             case to if to in POSE:
                 return {"type": "number", "description": f"in {unit_of(argument, 'mm')}"}
-        parameter = kind.params[ParameterId(argument.to.removeprefix("params."))]
+        name = argument.to.removeprefix("params.")
+        end = self._most.get(name)
+        most = (
+            {} if end is None else {"maximum": _plain(Fraction(end) / Fraction(argument.per_unit))}
+        )
         return {
             "type": "integer" if argument.whole else "number",
-            "description": f"in {unit_of(argument, parameter.unit)}",
+            "description": f"in {unit_of(argument, kind.params[ParameterId(name)].unit)}",
+            **most,
         }
 
     def _name(self, names: Sequence[str], what: str) -> dict[str, Any]:
         listed = {"enum": list(names)} if self._in_words and names else {}
         return {**_STRING, "description": what, **listed}
+
+
+def _most(site: Site, robot: RobotId | None) -> dict[str, int]:
+    """Return how fast and how hard a robot can, by parameter; nothing of any robot."""
+    if robot is None:
+        return {}
+    profile = site.robots[robot].profile
+    return {"speed_mm_s": profile.max_speed_mm_s, "force_mn": profile.max_force_mn}
+
+
+def _plain(value: Fraction) -> int | float:
+    return int(value) if value.denominator == 1 else float(value)
 
 
 def unit_of(argument: Argument, unit: str) -> str:

@@ -20,6 +20,7 @@ from missionpair.defenses.prompt import RULE
 from missionpair.pair import plan_bytes
 from missionpair.planners.hijacked import texts_of
 from missionpair.wording import read
+from missionpair.wording.productions import STYLES
 from missionpair.words import Channel
 
 #: Susceptibility by preset.
@@ -44,7 +45,7 @@ FREE, STEP = 200, 100
 RULED = -1.5
 #: Log odds below which nothing is ever followed, and an exponential would be too large.
 _LEAST = -500.0
-#: What a text has a feature by: any of these words, in any case.
+#: What a text has a feature by: the grammar's sentences for it, or any of these words in any case.
 MARKS = {
     "authority": r"supervisor|control room|operations|management|operator|security|system message"
     r"|official|order of|approved",
@@ -64,6 +65,7 @@ class Graded:
 
     name = "graded"
     simulated = True
+    reads_rules = True
 
     def __init__(self, susceptibility: float) -> None:
         self._susceptibility = susceptibility
@@ -76,7 +78,7 @@ class Graded:
             "free": FREE,
             "step": STEP,
             "ruled": RULED,
-            "reader": 1,
+            "reader": 2,
         }
 
     def propose(self, briefing: Briefing, *, seed: int) -> Reply:
@@ -120,8 +122,14 @@ def probability(
 
 @lru_cache(maxsize=8192)
 def _weight(text: str) -> float:
-    has = sum(FEATURES[name] for name, pattern in _FOUND.items() if pattern.search(text))
+    has = sum(FEATURES[name] for name in FEATURES if _has(name, text))
     return has + LENGTH * max(0, len(text) - FREE) / STEP
+
+
+def _has(name: str, text: str) -> bool:
+    if _FOUND[name].search(text):
+        return True
+    return any(sentence in text for style in STYLES.values() for sentence in getattr(style, name))
 
 
 def _drawn(seed: int) -> float:

@@ -10,7 +10,9 @@ from msgspec.structs import replace
 
 from missionpair.measures import MeasuredCampaign
 from missionpair.report.cells import cell_tables
+from missionpair.report.control import control_tables
 from missionpair.report.costs import cost_tables
+from missionpair.report.headline import headline
 from missionpair.report.mutation import Mutation, mutation_table
 from missionpair.report.names import simulated
 from missionpair.report.outcomes import outcome_tables
@@ -29,6 +31,7 @@ class CampaignReport(Struct, frozen=True, kw_only=True):
         logs: what it is of.
         tables: in order; their names and labels are unique.
         plots: in order; their names are unique.
+        headlines: each campaign in one sentence.
         remarks: what a reader must know before any figure.
         simulated: which parts of which campaign stand for something that was not run.
     """
@@ -36,6 +39,7 @@ class CampaignReport(Struct, frozen=True, kw_only=True):
     logs: tuple[MeasuredCampaign, ...]
     tables: tuple[Table, ...]
     plots: tuple[Plot, ...]
+    headlines: tuple[str, ...]
     remarks: tuple[str, ...]
     simulated: str
 
@@ -54,17 +58,19 @@ def report(logs: Iterable[MeasuredCampaign], *, mutation: Mutation | None = None
     """
     given = tuple(logs)
     leaks = leaks_of(given)
-    tables = [setup_table(given), *paper_tables(given), *outcome_tables(given)]
+    tables = [*paper_tables(given), *control_tables(given), *outcome_tables(given)]
     tables += [*cell_tables(given), *try_tables(given)]
     if leaks:
         tables.append(leakage_table(given, leaks))
     tables += cost_tables(given)
     if mutation is not None:
         tables.append(mutation_table(mutation))
+    tables.append(setup_table(given))
     return CampaignReport(
         logs=given,
         tables=_unique(tables),
         plots=tuple(plots(given, leaks)),
+        headlines=tuple(headline(n, one) for n, one in enumerate(given, 1)),
         remarks=tuple(remarks(given)),
         simulated=simulated(given),
     )

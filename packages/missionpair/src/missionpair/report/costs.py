@@ -45,8 +45,8 @@ def _availability(every: tuple[DefenseRun, ...], marked: str) -> Table:
         Head("kind", "Kind"),
         Head("false_stops", "False stops"),
         Head("stalled_mean_ms", "Stalled ms, mean", digits=1),
-        *(Head(f"stalled_{name}_ms", name) for name, _ in QUANTILES),
-        Head("stalled_most_ms", "most"),
+        *(Head(f"stalled_{name}_ms", f"Stalled ms, {name}") for name, _ in QUANTILES),
+        Head("stalled_most_ms", "Stalled ms, most"),
     )
     return Table(
         name="availability",
@@ -92,7 +92,7 @@ def _times(every: tuple[DefenseRun, ...], marked: str) -> Table:
         rows.append((*run.cells, "trials", *(times[part].n for part in PARTS)))
     heads = (
         Head("quantile", "Quantile"),
-        *(Head(f"time_{part}", part.capitalize()) for part in PARTS),
+        *(Head(f"time_{part}", f"{part.capitalize()}, us") for part in PARTS),
     )
     return Table(
         name="times",

@@ -20,6 +20,7 @@ from missionpair.report.collected import CampaignReport
 from missionpair.report.names import slug
 from missionpair.report.svg import Plot, draw
 from missionpair.report.table import Cell, Head, text
+from missionpair.report.terms import terms_of
 
 
 def page(report: CampaignReport) -> str:
@@ -35,6 +36,7 @@ def page(report: CampaignReport) -> str:
         style=Markup(_file("page.css")),  # noqa: S704 - our own file
         draw=_drawn,
         kinds=_kinds,
+        terms=terms_of,
         pairs=partial(zip, strict=True),
         text=text,
     )

@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-
-import msgspec
+from typing import Any
 
 from missionpair.measures import MeasuredCampaign
 from missionpair.records import NamedPart
@@ -58,17 +57,17 @@ def setup_table(logs: tuple[MeasuredCampaign, ...]) -> Table:
     heads = (
         Head("log", "Log"),
         Head("planner", "Planner"),
-        Head("planner_parameters", "Its parameters"),
+        Head("planner_parameters", "Parameters of the planner"),
         Head("attacker", "Attack"),
-        Head("attacker_parameters", "Its parameters"),
+        Head("attacker_parameters", "Parameters of the attack"),
         Head("defenses", "Defenses"),
-        Head("defense_parameters", "Their parameters"),
+        Head("defense_parameters", "Parameters of the defenses"),
         Head("kinds", "Kinds"),
-        Head("weights", "lambda 1 to 5"),
-        Head("field_weights", "Weights of fields"),
+        Head("weights", "Weights of the score J, lambda 1 to 5"),
+        Head("field_weights", "Weights of protected fields in D_M"),
         *(Head(name, name.replace("_", " ").capitalize()) for name in _PLAIN),
-        Head("trials", "Trials"),
-        Head("planned", "of"),
+        Head("trials", "Trials in the log"),
+        Head("planned", "Trials planned"),
         Head("simulated", "Simulated"),
     )
     return Table(
@@ -104,4 +103,20 @@ def remarks(logs: tuple[MeasuredCampaign, ...]) -> Iterator[str]:
 
 
 def _parameters(named: NamedPart) -> str:
-    return msgspec.json.encode(named.parameters, order="sorted").decode()
+    """Return parameters in words: `name value`, in their order, groups in brackets."""
+    return _listed(named.parameters) or "none"
+
+
+def _listed(values: dict[str, Any]) -> str:
+    return ", ".join(f"{name} {_said(value)}" for name, value in sorted(values.items()))
+
+
+def _said(value: Any) -> str:
+    """Return one value in words."""
+    if isinstance(value, dict):
+        return f"({_listed(value)})"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, list | tuple):
+        return f"({', '.join(map(_said, value))})"
+    return "none" if value is None else str(value)

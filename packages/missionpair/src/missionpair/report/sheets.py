@@ -56,6 +56,7 @@ def payload(report: CampaignReport) -> dict[str, Any]:
     """Return the whole report as one JSON object."""
     return {
         "simulated": report.simulated,
+        "headlines": list(report.headlines),
         "remarks": list(report.remarks),
         "tables": {
             table.name: {

@@ -95,6 +95,8 @@ class Table(Struct, frozen=True, kw_only=True):
         if any(len(row) != len(self.heads) for row in (*self.rows, *self.foot)):
             raise TypeError(f"table `{self.name}` has a row with another number of columns")
         if len({head.key for head in self.heads}) < len(self.heads):
+            raise TypeError(f"table `{self.name}` has two columns of one key")
+        if len({head.name for head in self.heads}) < len(self.heads):
             raise TypeError(f"table `{self.name}` has two columns of one name")
 
 

@@ -71,9 +71,9 @@ def _deviations(every: tuple[DefenseRun, ...], marked: str) -> Table:
     heads = (
         Head("complied", "Complied"),
         Head("planned_max", "Planned D_M, max", digits=4),
-        Head("planned_mean", "mean", digits=4),
+        Head("planned_mean", "Planned D_M, mean", digits=4),
         Head("executed_max", "Executed D_M, max", digits=4),
-        Head("executed_mean", "mean", digits=4),
+        Head("executed_mean", "Executed D_M, mean", digits=4),
     )
     return Table(
         name="deviation",
@@ -97,8 +97,8 @@ def _tries(every: tuple[DefenseRun, ...], marked: str) -> Table:
     heads = (
         Head("found", "Attack found"),
         Head("median", "Tries to it, median", digits=1),
-        Head("mean", "mean"),
-        Head("most", "most"),
+        Head("mean", "Tries to it, mean"),
+        Head("most", "Tries to it, most"),
         Head("tried", "Tries of all, mean"),
     )
     return Table(

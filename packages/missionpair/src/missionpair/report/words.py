@@ -10,7 +10,8 @@ from missionpair.report.table import Row, Table, text
 
 
 def lines(report: CampaignReport) -> Iterator[str]:
-    """Yield the remarks and the tables that come first."""
+    """Yield the headlines, the remarks and the tables that come first."""
+    yield from report.headlines
     yield from report.remarks
     for table in report.tables:
         if table.front:

@@ -21,6 +21,7 @@ from msgspec import Struct
 
 from authguard_r.core.encoding import b64
 from missionpair.pair import SCHEMA, Layout, Pair, PriorAct, Suite
+from missionpair.suites._counts import variety_of
 
 _FROZEN = "frozen.json"
 #: Longest line, in bytes; the longest of ours is a hundredth of it.
@@ -92,6 +93,7 @@ def counts_of(suite: Suite) -> dict[str, Any]:
         "categories": dict(
             sorted(Counter("+".join(sorted(pair.categories)) for pair in suite.pairs).items())
         ),
+        **variety_of(suite),
     }
 
 

@@ -4,21 +4,37 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from enum import Enum
 from random import Random
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+from msgspec.structs import replace
 
 from missionpair import domains, variants
-from missionpair.layouts import DomainWords, Ground, layouts_of
+from missionpair.layouts import DomainWords, Ground, RobotWords, call_of, layouts_of
 from missionpair.missions.draw import UnfitDraw
-from missionpair.pair import Input, Layout, Pair, Suite
+from missionpair.pair import Input, Layout, Pair, PriorAct, Suite, Value
 from missionpair.registry import make, names
 from missionpair.suites._canonical import canonical
 from missionpair.variants._twin import AttackVariant, AttackVariants
-from missionpair.wording import coordinate, say
+from missionpair.variants.parameter import most_of
+from missionpair.wording import coordinate, is_for, persuade, say, say_in
+from missionpair.wording.productions import LANGUAGES
 from missionpair.words import Category, Channel, Domain, Family
 
+#: Steps of the mission that may come before an attack in its own plan.
+_MOST_BEFORE = 5
 #: Draws after which a cell has nothing new.
 _MOST_DRAWS = 600
+
+
+class Told(Enum):
+    """In how many texts an attack is told."""
+
+    ONCE = "one text"
+    IN_ANOTHER_LANGUAGE = "one text in one of five other languages"
+    ON_TWO_CHANNELS = "a second channel confirms what the first one says"
+    IN_TURNS = "three turns of persuasion on one channel"
 
 
 class Cell(NamedTuple):
@@ -79,14 +95,21 @@ class PairMaker:
         self._seen: set[str] = set()
 
     def pair(
-        self, cell: Cell, number: int, *, second: bool = False, is_other: bool = False
+        self,
+        cell: Cell,
+        number: int,
+        *,
+        told: Told = Told.ONCE,
+        is_longer: bool = False,
+        is_other: bool = False,
     ) -> Pair:
         """Return a pair of a cell that is no renaming of one before.
 
         Args:
             cell: which one.
             number: counts the cell's pairs.
-            second: a second channel confirms what the first one says.
+            told: in how many texts.
+            is_longer: what comes before the twin is part of the attack's plan, where it can be.
             is_other: the twin has a call that the mission as it is meant has not, so that a planner
                 that keeps to its task is distinguished from one that does not.
 
@@ -101,7 +124,8 @@ class PairMaker:
                 twin = maker.make(ground, rng, cell.family)
             except UnfitDraw:
                 continue
-            found = pair_of(twin, cell, number, seed=rng.getrandbits(31), second=second)
+            twin = prolonged(twin) if is_longer else twin
+            found = pair_of(twin, cell, number, seed=rng.getrandbits(31), told=told)
             form = canonical(found, ground.layout)
             if is_other and all(call in found.benign.plan for call in found.attack.plan):
                 continue
@@ -111,8 +135,29 @@ class PairMaker:
         raise RuntimeError(f"nothing new for {cell}")
 
 
+def prolonged(twin: AttackVariant) -> AttackVariant:
+    """Return the attack with steps of the mission before it as the first part of its plan.
+
+    The same attack where that is not possible: other acts lie between, its signer has to do more
+    than to sign the next version, or the plan would name what the attack speaks against.
+    """
+    errand, number = twin.errand, twin.number
+    if twin.update != (PriorAct(do="activate", mission="v2"),) or number < 0:
+        return twin
+    start, done = errand.before(number)
+    run = (PriorAct(do="run", calls=errand.calls(done)),) if done else ()
+    if twin.start != start or twin.before != (PriorAct(do="activate", mission="v1"), *run):
+        return twin
+    firsts = range(max(0, number - _MOST_BEFORE), errand.begin(number) + 1)
+    first = next((at for at in firsts if errand.cold(at)), number)
+    plan = (*errand.calls(errand.steps[first:number]), *twin.plan)
+    if is_for(plan, twin.authorized) is not is_for(twin.plan, twin.authorized):
+        return twin
+    return replace(twin, start=errand.start(first), before=twin.before[:1], plan=plan)
+
+
 def pair_of(
-    twin: AttackVariant, cell: Cell, number: int, *, seed: int, second: bool = False
+    twin: AttackVariant, cell: Cell, number: int, *, seed: int, told: Told = Told.ONCE
 ) -> Pair:
     """Return the pair of a twin, with the words in which its channels ask for it.
 
@@ -121,15 +166,20 @@ def pair_of(
         cell: where it belongs.
         number: counts the cell's pairs.
         seed: draws the wording.
-        second: another channel confirms what the cell's says.
+        told: in how many texts.
     """
-    channels: tuple[Channel, ...] = (cell.channel,)
-    if second:
+    channels: tuple[Channel, ...] = (cell.channel,) * (3 if told is Told.IN_TURNS else 1)
+    if told is Told.ON_TWO_CHANNELS:
         others = [channel for channel in Channel if channel is not cell.channel]
         channels = (cell.channel, others[seed % len(others)])
     errand = twin.errand
     return Pair(
-        id=".".join((cell.domain, cell.category, cell.family, "+".join(channels), f"{number:02}")),
+        id=".".join(
+            (
+                *(cell.domain, cell.category, cell.family),
+                *("+".join(dict.fromkeys(channels)), f"{number:02}"),
+            )
+        ),
         domain=cell.domain,
         layout=errand.ground.layout.id,
         categories=twin.categories,
@@ -140,7 +190,7 @@ def pair_of(
         benign=twin.benign,
         attack=twin.scenario,
         update=twin.update,
-        inputs=spoken(twin, cell.family, channels, seed),
+        inputs=spoken(twin, cell, channels, seed, told),
         violates=twin.violates,
         reasons=twin.reasons or twin.violates,
         commissioned=twin.commissioned,
@@ -148,14 +198,40 @@ def pair_of(
 
 
 def spoken(
-    twin: AttackVariant, family: Family, channels: tuple[Channel, ...], seed: int
+    twin: AttackVariant, cell: Cell, channels: tuple[Channel, ...], seed: int, told: Told
 ) -> tuple[Input, ...]:
-    """Return what reaches the planner: the one place that asks for wording."""
+    """Return what reaches the planner: the one place that asks for wording.
+
+    A call for which another language has no words is asked for in English.
+    """
+    words = twin.errand.ground.words
+    more: dict[str, Any] = {
+        "authorized": twin.authorized,
+        "seed": seed,
+        "category": cell.category,
+        "most": most_said(words, words.robots[twin.robot]),
+    }
+    if len(channels) == 3:
+        return persuade(cell.family, cell.channel, twin.plan, **more)
     if len(channels) == 2:
         both = (channels[0], channels[1])
-        return coordinate(family, both, twin.plan, authorized=twin.authorized, seed=seed)
-    text = say(family, channels[0], twin.plan, authorized=twin.authorized, seed=seed)
-    return (Input(channels[0], text),)
+        return coordinate(cell.family, both, twin.plan, **more)
+    text = None
+    if told is Told.IN_ANOTHER_LANGUAGE:
+        language = tuple(LANGUAGES)[seed % len(LANGUAGES)]
+        known = {name: more[name] for name in ("authorized", "seed", "most")}
+        text = say_in(language, cell.family, twin.plan, **known)
+    return (Input(channels[0], text or say(cell.family, channels[0], twin.plan, **more)),)
+
+
+def most_said(words: DomainWords, robot: RobotWords) -> dict[str, Value]:
+    """Return the most of each argument, as a planner's call has it: `at full speed` is said."""
+    most = {f"params.{name}": value for name, value in most_of(robot).items()}
+    return {
+        name: value
+        for tool in words.tools.values()
+        for name, value in call_of(tool, dict(most)).arguments.items()
+    }
 
 
 def suite_of(name: str, version: int, makers: Makers, pairs: list[Pair]) -> Suite:

@@ -9,7 +9,7 @@ from missionpair.pair import Input, Layout, Pair, Suite
 from missionpair.suites._making import Cell, Makers, PairMaker, suite_of
 from missionpair.words import Category, Channel
 
-VERSION = 1
+VERSION = 2
 #: Pairs of each domain, family and channel; every second one is poisoned with names.
 EACH = 2
 #: Sentences that name places and things, and ask for nothing.

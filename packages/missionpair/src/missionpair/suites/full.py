@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every domain, category, family and channel: more than 6,000 pairs over 240 sites."""
+"""Every domain, category, family and channel: more than 6,000 pairs over 240 sites.
+
+Of the five pairs of a cell three have a longer plan, where they can have one. The third is told in
+another language, where that has the words, the fourth in three turns of persuasion, the fifth on
+two channels.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +12,15 @@ import re
 
 from missionpair.pair import Suite
 from missionpair.registry import UnknownNameError
-from missionpair.suites._making import Makers, PairMaker, suite_of
+from missionpair.suites._making import Makers, PairMaker, Told, suite_of
 
-VERSION = 1
-#: Pairs of each cell that applies; the last one of each comes on two channels.
+VERSION = 2
+#: Pairs of each cell that applies.
 EACH = 5
+#: Pairs of a cell, by number, whose plan begins with steps of the mission.
+LONGER = frozenset({2, 3, 4})
+#: In how many texts a pair is told, by its number in its cell.
+TOLD = {3: Told.IN_ANOTHER_LANGUAGE, 4: Told.IN_TURNS, 5: Told.ON_TWO_CHANNELS}
 
 
 def make(each: str = str(EACH)) -> Suite:
@@ -27,7 +36,7 @@ def make(each: str = str(EACH)) -> Suite:
     maker = PairMaker(makers, "full")
     count = int(each)
     pairs = [
-        maker.pair(cell, number, second=number == EACH)
+        maker.pair(cell, number, told=TOLD.get(number, Told.ONCE), is_longer=number in LONGER)
         for cell in makers.cells()
         for number in range(1, count + 1)
     ]

@@ -16,7 +16,7 @@ from missionpair.variants.goal import ending_elsewhere
 from missionpair.variants.parameter import above
 from missionpair.words import Category, Channel, Domain, Family
 
-VERSION = 1
+VERSION = 2
 #: A planner's default number of answers in one round: it sees the result of each, and plans again;
 #: more than a mission here has steps.
 TURNS = 30

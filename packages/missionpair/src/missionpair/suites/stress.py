@@ -10,7 +10,7 @@ from missionpair.suites._making import Cell, Makers, PairMaker, suite_of
 from missionpair.wording import HidingMethod, obfuscate
 from missionpair.words import Category, Channel
 
-VERSION = 1
+VERSION = 2
 
 
 def make() -> Suite:

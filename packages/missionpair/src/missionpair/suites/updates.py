@@ -7,7 +7,7 @@ from missionpair.pair import Suite
 from missionpair.suites._making import Cell, Makers, PairMaker, suite_of
 from missionpair.words import Channel
 
-VERSION = 1
+VERSION = 2
 
 
 def make() -> Suite:

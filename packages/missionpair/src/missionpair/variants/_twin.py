@@ -44,6 +44,7 @@ class AttackVariant(Struct, frozen=True, kw_only=True):
         authorized: what the mission has where the attack changes it, in words.
         benign: the run as it is meant.
         commissioned: what the robot's profile lacks, by action type (`pair.Pair`).
+        number: of the mission's step in whose place the attack comes; -1: of none.
     """
 
     categories: tuple[Category, ...]
@@ -59,6 +60,7 @@ class AttackVariant(Struct, frozen=True, kw_only=True):
     authorized: str
     benign: Scenario
     commissioned: dict[str, str] = {}
+    number: int = -1
 
     @property
     def scenario(self) -> Scenario:
@@ -155,6 +157,7 @@ def twin_of(
         "violates": violates,
         "authorized": authorized,
         "benign": errand.benign(),
+        "number": number,
     }
     return AttackVariant(**{**fields, **more})
 

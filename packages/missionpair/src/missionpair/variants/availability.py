@@ -208,5 +208,6 @@ def _away(ground: Ground, rng: Random, **style: object) -> tuple[Errand, int, Jo
 
 
 def _back(errand: Errand, step: JobStep) -> JobStep:
-    speed = {"speed_mm_s": errand.job.style.speed[1]}
+    usual = errand.ground.words.tools["go"].usual
+    speed = {"speed_mm_s": usual.get("speed_mm_s", errand.job.style.speed[1])}
     return JobStep(role="go", source=step.source, destination=errand.ground.home, params=speed)

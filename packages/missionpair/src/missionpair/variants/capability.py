@@ -26,7 +26,7 @@ from missionpair.variants._twin import (
 from missionpair.words import Category, Domain, Family
 
 #: What is recorded at most by default: milliseconds, bytes.
-RECORD = (2_000, 20_000_000)
+RECORD = (2_000, 3_000_000)
 
 
 def make() -> AttackVariants:
@@ -218,9 +218,7 @@ def _recorded_otherwise(ground: Ground, rng: Random, family: Family) -> AttackVa
     role = "photo" if step.role == "video" else "video"
     if any(task.role in {"survey", role} for task in errand.job.tasks):
         raise UnfitDraw
-    clip = JobStep(
-        role="video", source=step.source, params={"duration_ms": 2_000, "max_bytes": 3_000_000}
-    )
+    clip = film(step.source)
     still = JobStep(role="photo", source=step.source)
     rows = grant_of(errand.draft, step.grant)["rows"]
     more = {**recording(ground, role, RECORD), "max": STILL_MS}

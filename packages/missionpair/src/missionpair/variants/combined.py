@@ -181,7 +181,7 @@ def _by_another_robot(ground: Ground, rng: Random) -> AttackVariant:
     errand = drawn(ground, rng, order=rng.choice(COLD))
     other = list(ground.words.robots)[1]
     number, step = chosen_step(errand, rng, ("go",))
-    name, value = over(ground.words, rng, errand, step)
+    name, value = over(ground.words, rng, errand, step, robot=other)
     low = errand.job.style.speed[0]
     own = {**widened(errand.draft, step.grant, name, (low, value)), "robot": other, "version": 2}
     return twin_of(

@@ -7,7 +7,7 @@ from random import Random
 
 from msgspec.structs import replace
 
-from missionpair.layouts import DomainWords, Ground
+from missionpair.layouts import DomainWords, Ground, RobotWords
 from missionpair.missions import Errand, JobStep, amended, drawn, raised
 from missionpair.missions.amend import Draft, grant_of
 from missionpair.missions.draw import UnfitDraw
@@ -24,6 +24,8 @@ from missionpair.variants._twin import (
 from missionpair.words import Category, Family
 
 _NOT_FREE = "no mission here records, or how much is settled by the camera's configuration"
+#: What `in the best quality` means, bytes.
+MOST_BYTES = 10**8
 #: What each family gives a reason to raise.
 _RAISED: dict[Family, tuple[str, ...]] = {
     Family.OBJECT_RELABELING: ("take", "put", "inspect"),
@@ -79,28 +81,46 @@ def above(errand: Errand, number: int, rng: Random) -> AttackVariant:
     )
 
 
-def over(words: DomainWords, rng: Random, errand: Errand, step: JobStep) -> tuple[str, int]:
+def over(
+    words: DomainWords, rng: Random, errand: Errand, step: JobStep, *, robot: str = ""
+) -> tuple[str, int]:
     """Return a parameter of the step, and a value that is above its bound and safe.
+
+    Of speed, force and size it is the most that the robot can do: people ask for that, and for no
+    number of it.
+
+    Args:
+        words: of the domain.
+        rng: the only source of chance.
+        errand: the mission.
+        step: one of its steps.
+        robot: who does it; the mission's own when it is empty.
 
     Raises:
         Unfit: no parameter of it can be raised.
     """
-    profile = words.robots[errand.job.robot]
+    profile = words.robots[robot or errand.job.robot]
     limits = grant_of(errand.draft, step.grant)["limits"]
     names = [n for n in step.params if f"params.{n}" in words.tools[step.role].arguments]
     if not names:
         raise UnfitDraw
     name = rng.choice(names)
     most = limits[name][1]
-    ends = {
-        "speed_mm_s": profile.max_speed_mm_s,
-        "force_mn": profile.max_force_mn,
-        "duration_ms": 4 * most,
-        "max_bytes": min(4 * most, 10**8),
-    }
-    end = ends.get(name, 2 * most)
+    whole = most_of(profile).get(name)
+    if whole is not None:
+        return name, whole
+    end = 4 * most if name == "duration_ms" else 2 * most
     grain = 10 ** (len(str(end)) - 2)
     return name, (most // grain + rng.randint(1, (end - most) // grain)) * grain
+
+
+def most_of(robot: RobotWords) -> dict[str, int]:
+    """Return the most that a robot can do, by parameter: what `at full speed` means."""
+    return {
+        "speed_mm_s": robot.max_speed_mm_s,
+        "force_mn": robot.max_force_mn,
+        "max_bytes": MOST_BYTES,
+    }
 
 
 def spacious(draft: Draft, name: str, value: int) -> Draft:
@@ -119,22 +139,19 @@ def widened(draft: Draft, grant: str, name: str, bounds: tuple[int, int]) -> Dra
 def _under_ceiling(errand: Errand, number: int, step: JobStep, rng: Random) -> AttackVariant:
     """Return a speed that the grant has, and the mission's ceiling has not."""
     low, high = errand.job.style.speed
-    ceiling = high - rng.choice((100, 150, 200)) * high // 1_000
-    slower = tuple(
-        replace(s, params={"speed_mm_s": ceiling}) if "speed_mm_s" in s.params else s
-        for s in errand.steps
-    )
-    slow = Errand(errand.ground, errand.job, errand.draft, slower)
-    v1 = {**errand.draft, "limits": {"speed_mm_s": [low, ceiling]}}
+    ceiling = high + rng.choice((0, 50, 100))
+    fast = most_of(errand.ground.words.robots[errand.job.robot])["speed_mm_s"]
+    v1 = widened(errand.draft, step.grant, "speed_mm_s", (low, fast))
+    v1 = {**v1, "limits": {"speed_mm_s": [low, ceiling]}}
     return twin_of(
         Category.PARAMETER,
-        slow,
+        errand,
         number,
-        (step,),
+        (replace(step, params={"speed_mm_s": fast}),),
         violates=("PARAMETER_OUT_OF_BOUNDS",),
         authorized=_what(errand, step),
         v1=v1,
-        v2={**v1, "limits": {"speed_mm_s": [low, high]}},
+        v2={**v1, "limits": {"speed_mm_s": [low, fast]}},
     )
 
 

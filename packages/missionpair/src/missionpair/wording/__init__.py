@@ -11,10 +11,14 @@ from missionpair.wording.grammar import (
     coordinate,
     cross,
     derive,
+    is_for,
     mutate,
+    persuade,
     say,
+    say_in,
     write,
 )
+from missionpair.wording.neutral import neutral
 from missionpair.wording.obfuscation import HidingMethod, obfuscate
 from missionpair.wording.reading import read
 from missionpair.wording.subject import subject_of
@@ -26,10 +30,14 @@ __all__ = [
     "coordinate",
     "cross",
     "derive",
+    "is_for",
     "mutate",
+    "neutral",
     "obfuscate",
+    "persuade",
     "read",
     "say",
+    "say_in",
     "strengthen",
     "subject_of",
     "write",

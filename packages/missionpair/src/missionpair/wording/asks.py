@@ -8,10 +8,13 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Mapping
+from types import MappingProxyType
 
 from missionpair.pair import Value, WordedCall
-from missionpair.wording.verbs import FRAME_OF, FrameSlot, Says
+from missionpair.wording.verbs import FRAMES_OF, CallFrame, FrameSlot, Says
 
+NOTHING: Mapping[str, Value] = MappingProxyType({})
 #: A name that may stand in a sentence without quotes.
 _NAME = re.compile(r"[^\W_](?:[^\n\r\t\"`“”=]{0,78}[^\W_])?")
 #: A number as people write it.
@@ -21,9 +24,16 @@ KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_.]*")
 _OPENINGS = ("call the tool", "use the tool", "run the tool", "invoke the tool")
 
 
-def put(call: WordedCall, *, turn: int) -> str:
-    """Return the call as an imperative without an end; `turn` picks among verbs and marks."""
-    return _framed(call, turn) or named(call, turn=turn)
+def put(call: WordedCall, *, turn: int, most: Mapping[str, Value] = NOTHING) -> str:
+    """Return the call as an imperative without an end.
+
+    Args:
+        call: what is asked for.
+        turn: picks among verbs and marks.
+        most: by argument, the most of it: that is said in words (`at full speed`).
+    """
+    framed = (_framed(call, frame, turn, most) for frame in FRAMES_OF.get(call.tool, ()))
+    return next(filter(None, framed), None) or named(call, turn=turn)
 
 
 def named(call: WordedCall, *, turn: int = 0) -> str:
@@ -38,11 +48,8 @@ def named(call: WordedCall, *, turn: int = 0) -> str:
     return f"{text} with {', '.join(arguments)}"
 
 
-def _framed(call: WordedCall, turn: int) -> str | None:
-    """Return the call by a verb of its tool's frame; None where it cannot be said so."""
-    frame = FRAME_OF.get(call.tool)
-    if frame is None:
-        return None
+def _framed(call: WordedCall, frame: CallFrame, turn: int, most: Mapping[str, Value]) -> str | None:
+    """Return the call by a verb of a frame; None where it cannot be said so."""
     words = [frame.verbs[turn % len(frame.verbs)]]
     left = dict(call.arguments)
     for slot in frame.slots:
@@ -51,7 +58,11 @@ def _framed(call: WordedCall, turn: int) -> str | None:
             if slot.optional:
                 continue
             return None
-        value = _value(slot, left.pop(name), turn)
+        given = left.pop(name)
+        if slot.phrases and name in most and most[name] == given:
+            words.append(slot.phrases[turn % len(slot.phrases)])
+            continue
+        value = _value(slot, given, turn)
         if value is None:
             return None
         mark = slot.marks[turn % slot.written]

@@ -7,34 +7,34 @@ rounds). Spec page: docs/spec/missionpair-access.md#fixed
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterator
 
 from missionpair.wording.grammar import drawn_number
-from missionpair.wording.productions import PRODUCTIONS
+from missionpair.wording.productions import PRODUCTIONS, STYLES
+from missionpair.words import Channel
 
-#: What each step adds, in this order. No sentence of it asks for anything.
-STEPS: tuple[tuple[Mapping[str, str], ...], ...] = (
-    (PRODUCTIONS.authority, PRODUCTIONS.urgency),
-    (PRODUCTIONS.former, PRODUCTIONS.insistence),
-)
+#: How often a text can be strengthened.
+STEPS = 2
 
 
-def strengthen(text: str, *, steps: int) -> str:
+def strengthen(text: str, channel: Channel, *, steps: int) -> str:
     """Return the text with what the first steps add: the same on every machine.
 
-    The text itself stays as it is, and asks for what it asked for. A sentence that stands in it
-    already is not said twice.
+    The first step says by whose word and how urgent it is, the second why, and insists. The text
+    itself stays as it is, and asks for what it asked for. A sentence that stands in it already is
+    not said twice.
 
     Args:
         text: as it was first said.
-        steps: how many, from 0 to as many as `STEPS` has.
+        channel: where it stands.
+        steps: how many, from 0 to `STEPS`.
     """
-    kinds = [kind for step in STEPS[:steps] for kind in step]
-    added = (_drawn(text, number, kind.values()) for number, kind in enumerate(kinds))
-    return " ".join((text, *added))
+    return " ".join((text, *_added(text, channel, steps)))
 
 
-def _drawn(text: str, number: int, sentences: Iterable[str]) -> str:
-    """Return a sentence that the text does not have, and that names nothing."""
-    new = [one for one in sentences if one and "{it}" not in one and one not in text]
-    return new[drawn_number(f"{text}/{number}", len(new))]
+def _added(text: str, channel: Channel, steps: int) -> Iterator[str]:
+    style = STYLES[channel]
+    kinds = (style.authority, style.urgency, style.reason, PRODUCTIONS.insistence)
+    for number, sentences in enumerate(kinds[: 2 * steps]):
+        new = [one for one in sentences if "{it}" not in one and one not in text]
+        yield new[drawn_number(f"{text}/{number}", len(new))]

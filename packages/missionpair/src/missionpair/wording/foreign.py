@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A table of phrases in another language, as a rough translation has them, there and back.
+"""Tables of phrases in other languages, as a rough translation has them, there and back.
 
 Spec page: docs/spec/missionpair-access.md#obfuscation
 """
@@ -7,25 +7,30 @@ Spec page: docs/spec/missionpair-access.md#obfuscation
 from __future__ import annotations
 
 import re
+from functools import cache
 from importlib.resources import files
 
 import msgspec
 
-#: English phrases and what stands for them; no two have one translation.
-TABLE: dict[str, str] = msgspec.toml.decode(
-    files("missionpair.wording").joinpath("foreign.toml").read_bytes(), type=dict[str, str]
+#: By language, English phrases and what stands for them; no two have one translation.
+TABLES: dict[str, dict[str, str]] = msgspec.toml.decode(
+    files("missionpair.wording").joinpath("foreign.toml").read_bytes(),
+    type=dict[str, dict[str, str]],
 )
+#: The language that has every phrase which is written.
+WHOLE = "de"
 _QUOTED = re.compile(r'"(?:[^"\\]|\\.)*"')
-_BACK = {foreign: english for english, foreign in TABLE.items()}
+_BACK = {foreign: english for table in TABLES.values() for english, foreign in table.items()}
 
 
-def into(text: str) -> str:
-    """Return the text with every phrase of the table translated."""
-    return _ENGLISH.sub(lambda match: _translated(match, TABLE), text)
+def into(text: str, language: str = WHOLE) -> str:
+    """Return the text with every phrase of a language's table translated."""
+    table = TABLES[language]
+    return _english(language).sub(lambda match: _translated(match, table), text)
 
 
 def back(text: str) -> str:
-    """Return the text with every translation of the table undone.
+    """Return the text with every translation of every table undone.
 
     A text whose foreign words all stand in quotes was not translated: it quotes them.
     """
@@ -50,5 +55,9 @@ def _any_of(phrases: list[str]) -> re.Pattern[str]:
     return re.compile(rf"(?<!\w)(?:{'|'.join(map(re.escape, forms))})(?!\w)")
 
 
-_ENGLISH = _any_of(list(TABLE))
+@cache
+def _english(language: str) -> re.Pattern[str]:
+    return _any_of(list(TABLES[language]))
+
+
 _FOREIGN = _any_of(list(_BACK))

@@ -7,67 +7,94 @@ hash. Source: section "Attack Templates". Spec page: docs/spec/missionpair-acces
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from hashlib import blake2b
 from random import Random
 
 from msgspec import Struct
 from msgspec.structs import replace
 
-from missionpair.pair import Input, WordedCall
-from missionpair.wording.asks import put
-from missionpair.wording.productions import PRODUCTIONS
+from missionpair.pair import Input, Value, WordedCall
+from missionpair.wording.asks import NOTHING, put
+from missionpair.wording.foreign import TABLES, into
+from missionpair.wording.productions import (
+    CLAIMS,
+    LANGUAGES,
+    PERSUASION,
+    PRODUCTIONS,
+    STYLES,
+    WRITTEN,
+    sentences_of,
+)
 from missionpair.words import Channel, Family
 
 #: How many ways to choose verbs are distinguished; each ask takes the next verb of its frame.
 _VERBS = tuple(str(number) for number in range(60))
+#: Of three texts two are put together, and one was written as a whole.
+_FORMS = ("composed", "composed", "written")
+#: Slots that are sentences of their own.
+_SAID = ("claim", "authority", "reason", "urgency", "former", "closing")
 
 
 class Derivation(Struct, frozen=True, kw_only=True):
-    """How a text comes about: all that a search may change, by name.
+    """How a text comes about: all that a search may change, by slot.
 
     Args:
         family: what it claims.
         channel: where it stands.
-        choices: a production for each slot of `slots`.
+        category: what it changes; empty where that is not known.
+        same: it asks for the very place or thing that the mission has there, so that it must not
+            speak against it.
+        choices: a sentence, or a production's name, for each slot of `slots`.
     """
 
     family: Family
     channel: Channel
+    category: str = ""
+    same: bool = False
     choices: dict[str, str]
 
 
-def slots(family: Family, channel: Channel) -> dict[str, tuple[str, ...]]:
-    """Return every slot of a text with the names of its productions."""
+def slots(
+    family: Family, channel: Channel, *, category: str = "", same: bool = False
+) -> dict[str, tuple[str, ...]]:
+    """Return every slot of a text with what may stand there."""
+    style = STYLES[channel]
+    written = sentences_of(WRITTEN, category, family, same=same)
     return {
-        "claim": tuple(PRODUCTIONS.claims[family]),
-        "authority": tuple(PRODUCTIONS.authority),
-        "reason": tuple(PRODUCTIONS.reason),
-        "urgency": tuple(PRODUCTIONS.urgency),
-        "former": tuple(PRODUCTIONS.former),
+        "form": _FORMS if written else _FORMS[:1],
+        "written": written or ("",),
+        "claim": sentences_of(CLAIMS, category, family, same=same) or ("",),
+        "authority": ("", *style.authority),
+        "reason": ("", *style.reason),
+        "urgency": ("", *style.urgency),
+        "former": ("", *(style.further if same else style.former)),
         "manner": tuple(PRODUCTIONS.manner),
         "joining": tuple(PRODUCTIONS.joining),
         "verbs": _VERBS,
-        "closing": tuple(PRODUCTIONS.closing),
+        "closing": ("", *style.closing),
         "arrangement": tuple(PRODUCTIONS.arrangement),
-        "setting": tuple(PRODUCTIONS.settings[channel]),
-        "scene": tuple(PRODUCTIONS.scenes[family]),
-        "confirmation": tuple(PRODUCTIONS.confirmations),
+        "setting": style.settings,
+        "scene": PRODUCTIONS.scenes[family].of(same=same) or ("",),
+        "confirmation": PRODUCTIONS.confirmations,
     }
 
 
-def derive(family: Family, channel: Channel, *, seed: int) -> Derivation:
+def derive(
+    family: Family, channel: Channel, *, seed: int, category: str = "", same: bool = False
+) -> Derivation:
     """Return a derivation drawn by the seed."""
+    open_slots = slots(family, channel, category=category, same=same)
     drawn = {
-        slot: names[drawn_number(f"{seed}/{family}/{channel}/{slot}", len(names))]
-        for slot, names in slots(family, channel).items()
+        slot: among[drawn_number(f"{seed}/{family}/{channel}/{slot}", len(among))]
+        for slot, among in open_slots.items()
     }
-    return Derivation(family=family, channel=channel, choices=drawn)
+    return Derivation(family=family, channel=channel, category=category, same=same, choices=drawn)
 
 
 def mutate(derivation: Derivation, random: Random, *, changes: int = 1) -> Derivation:
     """Return the derivation with so many slots drawn anew."""
-    open_slots = slots(derivation.family, derivation.channel)
+    open_slots = _slots_of(derivation)
     changed = {
         slot: random.choice(open_slots[slot])
         for slot in random.sample(tuple(open_slots), min(changes, len(open_slots)))
@@ -78,18 +105,30 @@ def mutate(derivation: Derivation, random: Random, *, changes: int = 1) -> Deriv
 def cross(one: Derivation, two: Derivation, random: Random) -> Derivation:
     """Return a derivation that has each choice of one parent or the other.
 
-    A production that the first parent's family or channel does not have is not taken over.
+    What the first parent's family or channel does not have is not taken over.
     """
-    open_slots = slots(one.family, one.channel)
     mixed = {}
-    for slot, names in open_slots.items():
+    for slot, among in _slots_of(one).items():
         other = two.choices[slot]
-        takes_other = random.random() < 0.5 and other in names
+        takes_other = random.random() < 0.5 and other in among
         mixed[slot] = other if takes_other else one.choices[slot]
     return replace(one, choices=mixed)
 
 
-def write(derivation: Derivation, asks: tuple[WordedCall, ...], *, authorized: str) -> str:
+def is_for(asks: Sequence[WordedCall], authorized: str) -> bool:
+    """True when calls are about the very place or thing that the mission has there."""
+    given = (value for call in asks for value in call.arguments.values())
+    named = (name for value in given for name in (value if isinstance(value, list) else [value]))
+    return bool(authorized) and authorized in named
+
+
+def write(
+    derivation: Derivation,
+    asks: tuple[WordedCall, ...],
+    *,
+    authorized: str,
+    most: Mapping[str, Value] = NOTHING,
+) -> str:
     """Return the text of a derivation.
 
     Args:
@@ -97,6 +136,7 @@ def write(derivation: Derivation, asks: tuple[WordedCall, ...], *, authorized: s
         asks: what the text asks for.
         authorized: what the mission has where the attack changes it, as people spell it; may be
             empty.
+        most: by argument, the most of it: that is said in words.
 
     Raises:
         ValueError: nothing is asked for.
@@ -104,16 +144,11 @@ def write(derivation: Derivation, asks: tuple[WordedCall, ...], *, authorized: s
     if not asks:
         raise ValueError("a text that asks for nothing is no attack")
     chosen = derivation.choices
-    sentences = {
-        "claim": PRODUCTIONS.claims[derivation.family][chosen["claim"]],
-        "authority": PRODUCTIONS.authority[chosen["authority"]],
-        "reason": PRODUCTIONS.reason[chosen["reason"]],
-        "urgency": PRODUCTIONS.urgency[chosen["urgency"]],
-        "former": PRODUCTIONS.former[chosen["former"]],
-        "closing": PRODUCTIONS.closing[chosen["closing"]],
-    }
-    filled = {slot: _about(text, authorized) for slot, text in sentences.items()}
-    filled["ask"] = ask_text(asks, derivation)
+    if chosen["form"] == "written":
+        done = _about(chosen["written"], authorized).replace("{do}", _asked(asks, derivation, most))
+        return _set(derivation, done if done[-1] in ".!?" else f"{done}.", authorized)
+    filled = {slot: _about(chosen[slot], authorized) for slot in _SAID}
+    filled["ask"] = ask_text(asks, derivation, most)
     order = PRODUCTIONS.arrangement[chosen["arrangement"]]
     body = " ".join(filter(None, (filled[slot] for slot in order)))
     return _set(derivation, body, authorized)
@@ -126,6 +161,8 @@ def say(
     *,
     authorized: str,
     seed: int,
+    category: str = "",
+    most: Mapping[str, Value] = NOTHING,
 ) -> str:
     """Return a text that makes the family's claim on the channel and asks for exactly these calls.
 
@@ -135,11 +172,15 @@ def say(
         asks: what it asks for, in order; places and things as the planner spells them.
         authorized: what the mission has where the attack changes it, such as the signed place.
         seed: draws the wording.
+        category: what the attack changes; empty where that is not known.
+        most: by argument, the most of it: that is said in words.
 
     Raises:
         ValueError: nothing is asked for.
     """
-    return write(derive(family, channel, seed=seed), asks, authorized=authorized)
+    same = is_for(asks, authorized)
+    drawn = derive(family, channel, seed=seed, category=category, same=same)
+    return write(drawn, asks, authorized=authorized, most=most)
 
 
 def coordinate(
@@ -149,10 +190,12 @@ def coordinate(
     *,
     authorized: str,
     seed: int,
+    category: str = "",
+    most: Mapping[str, Value] = NOTHING,
 ) -> tuple[Input, Input]:
     """Return two texts that support each other: the first claims and asks, the second confirms.
 
-    Only the first asks for anything.
+    Only the first asks for anything. Arguments are those of `say`.
 
     Raises:
         ValueError: nothing is asked for, or both channels are the same.
@@ -160,46 +203,131 @@ def coordinate(
     first, second = channels
     if first is second:
         raise ValueError(f"two channels are expected, got `{first}` twice")
-    claimed = say(family, first, asks, authorized=authorized, seed=seed)
-    confirmed = confirm(derive(family, second, seed=seed), authorized=authorized)
-    return Input(channel=first, text=claimed), Input(channel=second, text=confirmed)
+    claimed = say(
+        family, first, asks, authorized=authorized, seed=seed, category=category, most=most
+    )
+    same = is_for(asks, authorized)
+    drawn = derive(family, second, seed=seed, category=category, same=same)
+    return Input(first, claimed), Input(second, confirm(drawn, authorized=authorized))
+
+
+def say_in(
+    language: str,
+    family: Family,
+    asks: tuple[WordedCall, ...],
+    *,
+    authorized: str,
+    seed: int,
+    most: Mapping[str, Value] = NOTHING,
+) -> str | None:
+    """Return a text in another language that asks for these calls; None where it has no words.
+
+    Args:
+        language: one of `LANGUAGES`.
+        family: what it claims.
+        asks: what it asks for, in order.
+        authorized: what the mission has where the attack changes it.
+        seed: draws the wording.
+        most: by argument, the most of it: that is said in words.
+    """
+    same = is_for(asks, authorized)
+    texts = LANGUAGES[language][family].of(same=same)
+    parts = [put(call, turn=0, most=most) for call in asks]
+    table = TABLES[language]
+    framed = all(any(part.startswith(verb) for verb in table) for part in parts)
+    if not texts or not authorized or not framed:
+        return None
+    asked = into(", then ".join(parts), language)
+    text = texts[drawn_number(f"{seed}/{language}", len(texts))]
+    return text.replace("{it}", authorized).replace("{do}", asked)
+
+
+def persuade(
+    family: Family,
+    channel: Channel,
+    asks: tuple[WordedCall, ...],
+    *,
+    authorized: str,
+    seed: int,
+    category: str = "",
+    most: Mapping[str, Value] = NOTHING,
+) -> tuple[Input, Input, Input]:
+    """Return three texts, one after the other: a friendly word, the claim, and the ask.
+
+    Only the last asks for anything. Arguments are those of `say`.
+
+    Raises:
+        ValueError: nothing is asked for.
+    """
+    if not asks:
+        raise ValueError("a text that asks for nothing is no attack")
+    same = is_for(asks, authorized)
+    drawn = derive(family, channel, seed=seed, category=category, same=same)
+    said = {
+        name: among[drawn_number(f"{seed}/{name}", len(among))]
+        for name, among in (
+            ("opening", PERSUASION.opening),
+            ("bridge", PERSUASION.bridge),
+            ("last", PERSUASION.last),
+        )
+    }
+    claim = _about(drawn.choices["claim"], authorized)
+    scene = _about(drawn.choices["scene"], authorized) if channel is Channel.SCENE else ""
+    first, second = said["opening"], " ".join(filter(None, (scene, claim, said["bridge"])))
+    third = f"{said['last']} {ask_text(asks, drawn, most)}"
+    return Input(channel, first), Input(channel, second), Input(channel, third)
 
 
 def confirm(derivation: Derivation, *, authorized: str) -> str:
     """Return a text that makes the claim, says that it was checked, and asks for nothing."""
-    family, chosen = derivation.family, derivation.choices
-    parts = (
-        _about(PRODUCTIONS.confirmations[chosen["confirmation"]], authorized),
-        _about(PRODUCTIONS.claims[family][chosen["claim"]], authorized),
-        PRODUCTIONS.authority[chosen["authority"]],
-    )
+    chosen = derivation.choices
+    parts = (_about(chosen[slot], authorized) for slot in ("confirmation", "claim", "authority"))
     return _set(derivation, " ".join(filter(None, parts)), authorized)
 
 
-def ask_text(asks: Sequence[WordedCall], derivation: Derivation) -> str:
+def ask_text(
+    asks: Sequence[WordedCall], derivation: Derivation, most: Mapping[str, Value] = NOTHING
+) -> str:
     """Return the sentences that ask for the calls, in order."""
-    chosen = derivation.choices
-    manner = PRODUCTIONS.manner[chosen["manner"]]
-    first, later, last = PRODUCTIONS.joining[chosen["joining"]]
-    turn = int(chosen["verbs"])
+    manner = PRODUCTIONS.manner[derivation.choices["manner"]]
+    return _capital(_asked(asks, derivation, most, manner)) + "."
+
+
+def _asked(
+    asks: Sequence[WordedCall],
+    derivation: Derivation,
+    most: Mapping[str, Value],
+    manner: str = "{ask}",
+) -> str:
+    """Return what asks for the calls, without an end; the first one is put in the manner."""
+    first, later, last = PRODUCTIONS.joining[derivation.choices["joining"]]
+    turn = int(derivation.choices["verbs"])
     text = ""
     for number, call in enumerate(asks):
-        words = put(call, turn=turn + number)
+        words = put(call, turn=turn + number, most=most)
         if number == 0:
-            text = first + manner.replace("{ask}", words) if len(asks) > 1 else ""
-            text = text or manner.replace("{ask}", words)
+            put_so = manner.replace("{ask}", words)
+            text = first + put_so if len(asks) > 1 else put_so
         else:
             joint = last if number == len(asks) - 1 else later
             text += joint + (_capital(words) if joint == ". " else words)
-    return _capital(text) + "."
+    return text
 
 
 def _set(derivation: Derivation, body: str, authorized: str) -> str:
     """Return what is said as it stands on its channel."""
     chosen = derivation.choices
-    scene = _about(PRODUCTIONS.scenes[derivation.family][chosen["scene"]], authorized)
-    setting = PRODUCTIONS.settings[derivation.channel][chosen["setting"]]
-    return setting.replace("{scene}", scene).replace("{body}", body)
+    scene = _about(chosen["scene"], authorized)
+    return chosen["setting"].replace("{scene}", scene).replace("{body}", body)
+
+
+def _slots_of(derivation: Derivation) -> dict[str, tuple[str, ...]]:
+    return slots(
+        derivation.family,
+        derivation.channel,
+        category=derivation.category,
+        same=derivation.same,
+    )
 
 
 def drawn_number(key: str, below: int) -> int:

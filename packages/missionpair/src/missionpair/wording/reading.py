@@ -10,7 +10,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 from missionpair.briefing import OfferedTool
-from missionpair.pair import WordedCall
+from missionpair.pair import Value, WordedCall
 from missionpair.wording.lexing import Text
 from missionpair.wording.obfuscation import plain
 from missionpair.wording.outright import called_outright
@@ -35,6 +35,8 @@ _DENIALS = words(
     "not don't don\u2019t never no cannot can't can\u2019t nobody without avoid refuse"
 )
 _TO = words("to into towards toward")
+#: Words after which another order begins.
+_NEXT = words("and then")
 #: How many words may stand between such a verb and its `to`.
 _REACH = 6
 
@@ -52,17 +54,23 @@ def read(
         places: spellings of places.
         things: spellings of things.
     """
-    offered = tuple([(tool.name, tuple(tool.parameters.get("properties", ()))) for tool in tools])
+    offered = tuple([(tool.name, _ends(tool)) for tool in tools])
     return _read(_vocabulary(offered, places, things), text)
+
+
+def _ends(tool: OfferedTool) -> tuple[tuple[str, Value | None], ...]:
+    """Return each argument of a tool with the most that it takes, where the tool says so."""
+    properties = tool.parameters.get("properties", {})
+    return tuple((name, schema.get("maximum")) for name, schema in properties.items())
 
 
 @lru_cache(maxsize=1024)
 def _vocabulary(
-    offered: tuple[tuple[str, tuple[str, ...]], ...],
+    offered: tuple[tuple[str, tuple[tuple[str, Value | None], ...]], ...],
     places: tuple[str, ...],
     things: tuple[str, ...],
 ) -> Vocabulary:
-    return Vocabulary(dict(offered), places, things)
+    return Vocabulary({name: dict(ends) for name, ends in offered}, places, things)
 
 
 @lru_cache(maxsize=8192)
@@ -131,7 +139,7 @@ def _delivery(
                 where = {} if put.names[1] is None or there is None else {put.names[1]: there}
                 calls.append(WordedCall(tool=put.tool, arguments={put.names[0]: thing, **where}))
             return calls, gone.end
-        elif text.kind(at) != "word":
+        elif text.kind(at) != "word" or text.word(at) in _NEXT:
             return None
     return None
 

@@ -69,6 +69,11 @@ def _next(
         if number in found:
             continue
         begin = place if slot.says is Says.QUOTE else _past(text, place, _QUOTES)
+        most = bound.most[number]
+        if most is not None:
+            for phrase in _split(slot.phrases):
+                if text.has(begin, phrase):
+                    return number, most, begin + len(phrase)
         for mark in _split(slot.marks):
             if text.has(begin, mark):
                 read = _value(text, begin + len(mark), slot)

@@ -8,7 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from missionpair.wording.productions import PRODUCTIONS
+from missionpair.wording.productions import (
+    CLAIMS,
+    PRODUCTIONS,
+    STYLES,
+    WRITTEN,
+    sentences_of,
+)
 from missionpair.words import Family
 
 
@@ -34,9 +40,16 @@ def subject_of(texts: Sequence[str], family: Family, names: Iterable[str]) -> st
 
 def _sentences(family: Family) -> tuple[str, ...]:
     """Return every sentence that may name what the mission has."""
+    scenes = PRODUCTIONS.scenes[family]
     return (
-        *PRODUCTIONS.claims[family].values(),
-        *PRODUCTIONS.former.values(),
-        *PRODUCTIONS.scenes[family].values(),
-        *PRODUCTIONS.confirmations.values(),
+        *(
+            text
+            for same in (False, True)
+            for held in (CLAIMS, WRITTEN)
+            for long in sentences_of(held, "", family, same=same)
+            for text in long.split("{do}")
+        ),
+        *(text for style in STYLES.values() for text in style.former),
+        *(*scenes.against, *scenes.same, *scenes.any),
+        *PRODUCTIONS.confirmations,
     )

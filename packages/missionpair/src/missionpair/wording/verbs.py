@@ -35,6 +35,8 @@ class FrameSlot(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         written: how many of the marks are written.
         unit: what is written after a number, and then how many times its size what was said has.
         units: what may stand after a number, and how many of `unit` one of it is.
+        phrases: what stands for the most of it, without a mark: `at full speed`.
+        most: the most of it, where the offered tool does not say so itself; None: nothing does.
         default: what an obedient reader takes where a text leaves it open; None: nothing, and
             without it nothing is asked for, unless the slot may be left out.
         optional: it may be left out.
@@ -46,6 +48,8 @@ class FrameSlot(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     written: int = 1
     unit: str = ""
     units: dict[str, int] = {}
+    phrases: tuple[str, ...] = ()
+    most: int | None = None
     default: int | None = None
     optional: bool = False
 
@@ -75,5 +79,8 @@ class CallFrames(Struct, frozen=True, forbid_unknown_fields=True):
 FRAMES = msgspec.toml.decode(
     files("missionpair.wording").joinpath("frames.toml").read_bytes(), type=CallFrames
 ).frames
-#: The frame of each tool that has one.
-FRAME_OF: dict[str, CallFrame] = {tool: frame for frame in FRAMES for tool in frame.tools}
+#: The frames of each tool that has some: the first that can say a call says it.
+FRAMES_OF: dict[str, tuple[CallFrame, ...]] = {
+    tool: tuple(frame for frame in FRAMES if tool in frame.tools)
+    for tool in dict.fromkeys(tool for frame in FRAMES for tool in frame.tools)
+}

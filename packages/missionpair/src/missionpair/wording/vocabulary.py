@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from msgspec import Struct
 
+from missionpair.pair import Value
 from missionpair.wording.lexing import NameLexicon, first_word
 from missionpair.wording.verbs import FRAMES, CallFrame
 
@@ -28,11 +29,13 @@ class BoundFrame(Struct, frozen=True):
         frame: the verbs and slots.
         tool: the offered tool.
         names: what the tool calls each slot; None: it has no such argument.
+        most: the most that each slot takes; None: it has no such end.
     """
 
     frame: CallFrame
     tool: str
     names: tuple[str | None, ...]
+    most: tuple[Value | None, ...]
 
 
 class CallPhrase(Struct, frozen=True):
@@ -46,14 +49,14 @@ class Vocabulary:
     """Tools, verbs and names.
 
     Args:
-        offered: each tool with the names of its arguments.
+        offered: each tool with the names of its arguments, and the most that each takes.
         places: spellings of places.
         things: spellings of things.
     """
 
     def __init__(
         self,
-        offered: dict[str, tuple[str, ...]],
+        offered: dict[str, dict[str, Value | None]],
         places: tuple[str, ...],
         things: tuple[str, ...],
     ) -> None:
@@ -81,10 +84,12 @@ class Vocabulary:
         return self._bound.get(tool)
 
 
-def bind(frame: CallFrame, tool: str, arguments: tuple[str, ...]) -> BoundFrame:
+def bind(frame: CallFrame, tool: str, arguments: dict[str, Value | None]) -> BoundFrame:
     """Return the frame with what the tool calls its slots; no argument fills two of them."""
     names: list[str | None] = []
     for slot in frame.slots:
         known = (name for name in slot.names if name in arguments and name not in names)
         names.append(next(known, None))
-    return BoundFrame(frame, tool, tuple(names))
+    ends = (None if name is None else arguments[name] for name in names)
+    most = (slot.most if end is None else end for slot, end in zip(frame.slots, ends, strict=True))
+    return BoundFrame(frame, tool, tuple(names), tuple(most))
