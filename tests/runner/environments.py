@@ -26,6 +26,8 @@ RECIPES: dict[str, tuple[tuple[str, ...], ...]] = {
     "ros-mcp": (("ros-mcp==3.1.2",),),
     # Inspect is heavy, and in no lock file
     "inspect": (("--editable", ".", "--editable", "packages/missionpair[inspect,llm]", COVERAGE),),
+    # fonts, a recognizer of speech with its model, and what counts wrong words
+    "perception": (("--editable", ".", "--editable", "packages/missionpair[perception]", COVERAGE),),
     # ROSA needs LangChain 0.3 and rclpy, and pins a PyYAML that is too old for us
     "rosa": (("jpl-rosa==1.0.10", *RCLPY), ("--editable", ".", COVERAGE)),
     # RAI is heavy, and needs rclpy
@@ -112,7 +114,8 @@ def _do(name: str, command: list[str]) -> None:
 def _digest(name: str) -> str:
     """Return what an environment depends on: its recipe, our packages' metadata, its files."""
     found = hashlib.sha256(repr((RECIPES.get(name), sys.version_info[:2], str(ROOT))).encode())
-    for place in (ROOT / "pyproject.toml", *(ROOT / item for item in SCRIPTS.get(name, ()))):
+    metadata = (ROOT / "pyproject.toml", ROOT / "packages" / "missionpair" / "pyproject.toml")
+    for place in (*metadata, *(ROOT / item for item in SCRIPTS.get(name, ()))):
         for file in sorted(place.rglob("*")) or [place]:
             if file.is_file() and not _is_left_over(file):
                 found.update(file.read_bytes())

@@ -23,6 +23,7 @@ from missionpair.approvers import Policy, Script, read_delay
 from missionpair.bench import Bench, make_bench
 from missionpair.cli_live import live_command
 from missionpair.cli_mutate import mutate_command
+from missionpair.cli_perceive import perceive_command
 from missionpair.cli_report import compare, report
 from missionpair.cli_require import require
 from missionpair.cli_run import list_command, run_command
@@ -116,6 +117,7 @@ app.command("report")(report)
 app.command("compare")(compare)
 app.command("require")(require)
 app.command("mutate")(mutate_command)
+app.command("perceive")(perceive_command)
 
 
 def run_suite(bench: Bench) -> list[MeasuredTrial]:
@@ -207,7 +209,7 @@ def main() -> None:
     except FAULTS as error:
         _fail(fault_of(error))
     except KeyboardInterrupt:
-        text = "stopped; every trial that was finished is in the log"
+        text = "stopped; each trial of a campaign that was finished is in its log"
         _fail(CommandFault("ABORTED", text, "", 130))
     sys.exit(result if isinstance(result, int) else 0)
 

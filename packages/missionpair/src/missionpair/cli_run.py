@@ -271,22 +271,22 @@ def _lines(summary: dict[str, Any], log: Path) -> list[str]:
 
 
 @contextmanager
-def shown(*, hidden: bool) -> Iterator[Callable[[Progress], None]]:
-    """Give what shows progress on the terminal; nothing without one.
+def shown(*, hidden: bool, what: str = "trials") -> Iterator[Callable[[Progress], None]]:
+    """Give what shows progress on the terminal, as a count of `what`; nothing without one.
 
     Meanwhile a request to end (SIGTERM) is as one of the keyboard: what was finished is written,
     and what lies elsewhere for the time of the run is removed.
     """
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        with _bar(hidden=hidden) as show:
+        with _bar(hidden=hidden, what=what) as show:
             yield show
     finally:
         signal.signal(signal.SIGTERM, before)
 
 
 @contextmanager
-def _bar(*, hidden: bool) -> Iterator[Callable[[Progress], None]]:
+def _bar(*, hidden: bool, what: str) -> Iterator[Callable[[Progress], None]]:
     if hidden or not sys.stderr.isatty():
         yield lambda _: None
         return
@@ -294,7 +294,7 @@ def _bar(*, hidden: bool) -> Iterator[Callable[[Progress], None]]:
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
 
-    columns = (TextColumn("trials"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Bar(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task("trials", total=None)
+        task = bar.add_task(what, total=None)
         yield lambda at: bar.update(task, completed=at.done, total=at.trials)

@@ -13,6 +13,7 @@ from authguard_r.core.errors import AuthGuardError, EnvironmentFault
 from missionpair.attackers import AttackerError
 from missionpair.briefing import PlannerError
 from missionpair.campaign.log import LogError
+from missionpair.perception import PerceptionError
 from missionpair.registry import SpecificationError
 from missionpair.stage import StageError
 from missionpair.suites import SuiteError
@@ -24,6 +25,7 @@ FAULTS = (
     AuthGuardError,
     LogError,
     OSError,
+    PerceptionError,
     PlannerError,
     SpecificationError,
     StageError,
@@ -64,6 +66,8 @@ def fault_of(error: Exception) -> CommandFault:
             return CommandFault("LOG_BROKEN", error.message, error.where, UNREADABLE)
         case PlannerError() | AttackerError():
             return _of_model(error)
+        case PerceptionError():
+            return CommandFault("PERCEPTION_UNAVAILABLE", str(error), "", HERE)
         case EnvironmentFault():
             return CommandFault(str(error.reason), error.message, error.where, HERE)
         case AuthGuardError():

@@ -34,6 +34,26 @@ class Input(Struct, frozen=True, forbid_unknown_fields=True):
     text: str
 
 
+class Perceived(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Of what a text was read or heard.
+
+    Args:
+        input: which one of the pair's inputs, counted from 0.
+        written: what stood on the sign, or was said.
+        by: programs and packages that perceived it, with their versions.
+        how: a sign's font and what spoils the view of it; a voice.
+        words: how many words were written.
+        wrong: how many are wrong, missing or added.
+    """
+
+    input: int
+    written: str
+    by: str
+    how: tuple[str, ...]
+    words: int
+    wrong: int
+
+
 class PriorAct(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True):
     """Something that happens before the planner is asked, done as those who may do it do it.
 
@@ -115,7 +135,9 @@ class Pair(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_d
             integrator adds before the update: no operator can grant what a robot cannot do.
         rest: what is left of the mission in the attacked situation, as a plan; empty where the
             benign run says it: then it is the longest end of that plan that can be done there.
-        inputs: the attack in the suite's own words, oldest first.
+        inputs: the attack in the suite's own words, oldest first; of a text that was perceived,
+            what was read or heard.
+        perceived: of what such texts were perceived. No planner sees it.
         violates: protected fields that the twin violates, by its author.
         reasons: the codes that the gate refuses the twin with, by its author, in any order.
     """
@@ -136,6 +158,7 @@ class Pair(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_d
     reasons: tuple[str, ...]
     commissioned: dict[str, str] = {}
     rest: tuple[WordedCall, ...] = ()
+    perceived: tuple[Perceived, ...] = ()
 
 
 class Layout(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -48,20 +48,28 @@ class MeteredModel:
         #: Tokens read and written, so far.
         self.tokens = (0, 0)
 
-    def answer(self, system: str, messages: Sequence[tuple[str, str]], *, seed: int) -> str:
+    def ask(self, system: str, messages: Sequence[tuple[str, str]], *, seed: int) -> str:
         """Return what the model writes, without what it only thought; empty where it declined.
+
+        Raises:
+            PlannerError: it does not answer.
+        """
+        found = self.client.complete(system, messages, seed=seed, max_tokens=self.max_tokens)
+        self.cost_microusd += found.cost_microusd
+        read, written = found.tokens
+        self.tokens = (self.tokens[0] + read, self.tokens[1] + written)
+        return _THOUGHT.sub("", found.text).strip()
+
+    def answer(self, system: str, messages: Sequence[tuple[str, str]], *, seed: int) -> str:
+        """Return what the model writes, as `ask` does.
 
         Raises:
             AttackerError: it does not answer.
         """
         try:
-            found = self.client.complete(system, messages, seed=seed, max_tokens=self.max_tokens)
+            return self.ask(system, messages, seed=seed)
         except PlannerError as error:
             raise AttackerError(error.message, code=error.code, where=error.where) from error
-        self.cost_microusd += found.cost_microusd
-        read, written = found.tokens
-        self.tokens = (self.tokens[0] + read, self.tokens[1] + written)
-        return _THOUGHT.sub("", found.text).strip()
 
 
 def asked(spec: str, *, max_tokens: int, role: str) -> MeteredModel:

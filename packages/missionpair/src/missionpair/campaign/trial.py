@@ -134,7 +134,8 @@ class PairRun:
         self._n, self._held = first, held
         # what learns from trial to trial has to go through them again
         learns = hasattr(setting.planner, "told")
-        is_paid = is_asked(setting.planner) or is_asked(setting.attacker)
+        those = (setting.planner, setting.attacker, *setting.defenses)
+        is_paid = any(map(is_asked, those))
         self._done = done if is_paid and not learns else first
         self._stages: dict[tuple[TrialKind, str], Stage] = {}
         self._cases: dict[str, bytes] = {}
@@ -175,7 +176,7 @@ class PairRun:
                 raise DefenseError(f"{unfit} (score it all the same with `--unqualified`, anew)")
 
     def _trial(self, dice: Dice) -> Trial:
-        begun, spent = perf_counter_ns(), TrialCosts(cost_microusd=-self._cost_of_attacker())
+        begun, spent = perf_counter_ns(), TrialCosts(cost_microusd=-self._cost(dice))
         tries, error = list[TrialRecord](), ""
         try:
             for tried in self._rounds(dice, spent):
@@ -186,7 +187,7 @@ class PairRun:
             error, self.failure = f"{failed.where}: {failed.message}", failed
         else:
             self.failure = None
-        spent.cost_microusd += self._cost_of_attacker()
+        spent.cost_microusd += self._cost(dice)
         tried = tries[-1] if tries else TrialRecord()
         is_done = dice.kind not in ATTACKED and not error and self._is_done(dice, tried)
         spent.total = _us(begun)
@@ -201,9 +202,10 @@ class PairRun:
             error=error,
         )
 
-    def _cost_of_attacker(self) -> int:
-        """Return what the attacker's model cost so far, where it has one with a price."""
-        return int(getattr(self._setting.attacker, "cost_microusd", 0))
+    def _cost(self, dice: Dice) -> int:
+        """Return what the models of attacker and defense cost so far, as far as one has a price."""
+        those = (self._setting.attacker, dice.defense)
+        return sum(int(getattr(one, "cost_microusd", 0)) for one in those)
 
     def _rounds(self, dice: Dice, spent: TrialCosts) -> Iterator[TrialRecord]:
         """Yield every try, until one succeeds, the attacker gives up, or there are no more.
@@ -373,7 +375,7 @@ class PairRun:
 
 
 def is_asked(thing: object) -> bool:
-    """True of a planner or an attacker that asks a model, or a stand-in for one."""
+    """True of a planner, an attacker or a defense that asks a model, or a stand-in for one."""
     return hasattr(thing, "client") or hasattr(thing, "cost_microusd")
 
 

@@ -6,7 +6,9 @@
 - `mixed:SEED` is either, by a die thrown over SEED, the request's seed and the prompt.
 - `odd:KIND` answers what models answer on a bad day.
 
-Asked by an attacker, it leads the last texts in with other words; asked by a judge, it grades 5.
+Asked by an attacker, it leads the last texts in with other words. Asked for a grade, it grades 5.
+Asked whether a mission covers an action, it looks for its names in the mission's card; the obedient
+one says yes to everything.
 """
 
 from __future__ import annotations
@@ -31,9 +33,14 @@ _REFUSAL = "I can't help with that."
 #: One delivery of a task, and where a robot is.
 _DELIVERY = re.compile(r"\b[Cc]arry (.+?) from (.+?) to (.+?)(?=, then carry |\.?$)")
 _SITUATION = re.compile(r"The robot is at (.+) and holds (.+)\.")
-#: A judge's grade, as its instructions show it, and what an attacker's texts are led in with.
+#: A judge's grade, as its instructions show it.
 _GRADE = "[[5]]"
+#: What a judge of actions is asked for, as its instructions show it.
+_ALLOWED = "Answer with one word: ALLOW"
+#: What an attacker's texts are led in with.
 _LEADS = ("Attention.", "Important.", "Please note.")
+#: Where a grant begins on a mission's card.
+_GRANTS = re.compile(r"\n  (?=[a-z])")
 _TEXT = re.compile(rf"\[({'|'.join(Channel)})\] ([^\n\[]*)")
 _LED = re.compile(rf"^(?:{'|'.join(map(re.escape, _LEADS))}) ")
 
@@ -109,7 +116,7 @@ class Behavior(Struct, frozen=True):
             return _ODD[self.detail]
         prompt = read_prompt(asked.system, asked.user)
         if prompt is None:
-            return ScriptedAnswer(text=_words(asked))
+            return ScriptedAnswer(text=_words(asked, follows=self._follows(asked)))
         calls = _calls(prompt, asked.tools or prompt.tools, follows=self._follows(asked))
         written = tuple(Written(call.tool, json.dumps(call.arguments)) for call in calls)
         if asked.tools and written:
@@ -177,15 +184,30 @@ def spelled_out(prompt: Prompt) -> str:
     return " ".join(steps) or prompt.task
 
 
-def _words(asked: ScriptedQuestion) -> str:
-    """Return the answer to a request for no plan: a judge's grade, or an attacker's texts."""
+def _words(asked: ScriptedQuestion, *, follows: bool) -> str:
+    """Return the answer to a request for no plan: a judge's word or grade, an attacker's texts."""
     if _GRADE in asked.system:
         return _GRADE
+    if _ALLOWED in asked.system:
+        return "ALLOW" if follows or _is_on_card(asked.user) else "DENY"
     texts: dict[str, str] = {}
     for channel, text in _TEXT.findall(asked.user):
         texts[channel] = _LED.sub("", text).strip()
     lead = _LEADS[asked.seed % len(_LEADS)]
     return "\n".join(f"[{c}] {lead} {text}" for c, text in texts.items() if text) or NO_PLAN
+
+
+def _is_on_card(shown: str) -> bool:
+    """True when a grant of a mission's card has what is asked: its kind, and a row with its names.
+
+    A script, and no reading: it looks at no limit, no order and no count.
+    """
+    card, _, wanted = shown.rpartition("\nAsked for: ")
+    action = json.loads(wanted)
+    names = [action[name] for name in ("object", "destination") if action.get(name)]
+    grants = [part for part in _GRANTS.split(card) if f": {action['type']} with " in part]
+    rows = [line for part in grants for line in part.splitlines() if line.startswith("    row ")]
+    return any(all(name in row for name in names) for row in rows)
 
 
 #: Two destinations in one call: a reader that takes the last one runs another plan.

@@ -26,6 +26,19 @@ def variety_of(suite: Suite) -> dict[str, Any]:
     }
 
 
+def perceived_of(suite: Suite) -> dict[str, dict[str, list[int]]]:
+    """Return texts, their words and the wrong ones, by channel and by how a text was perceived."""
+    counts: dict[str, dict[str, list[int]]] = {}
+    for pair in suite.pairs:
+        for record in pair.perceived:
+            mine = counts.setdefault(str(pair.channels[record.input]), {})
+            for how in ("all", *record.how):
+                held = mine.setdefault(how, [0, 0, 0])
+                for place, more in enumerate((1, record.words, record.wrong)):
+                    held[place] += more
+    return {channel: dict(sorted(counts[channel].items())) for channel in sorted(counts)}
+
+
 def sentences_of(suite: Suite) -> Counter[str]:
     """Return how often each sentence comes in a suite, without its names and numbers."""
     counts: Counter[str] = Counter()

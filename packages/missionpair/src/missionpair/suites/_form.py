@@ -21,7 +21,7 @@ from msgspec import Struct
 
 from authguard_r.core.encoding import b64
 from missionpair.pair import SCHEMA, Layout, Pair, PriorAct, Suite
-from missionpair.suites._counts import variety_of
+from missionpair.suites._counts import perceived_of, variety_of
 
 _FROZEN = "frozen.json"
 #: Longest line, in bytes; the longest of ours is a hundredth of it.
@@ -84,6 +84,7 @@ def digest_of(suite: Suite) -> str:
 
 def counts_of(suite: Suite) -> dict[str, Any]:
     """Return what `suites/frozen.json` holds of a suite: version, digest and counts."""
+    perceived = perceived_of(suite)
     return {
         "version": suite.version,
         "digest": digest_of(suite),
@@ -94,6 +95,7 @@ def counts_of(suite: Suite) -> dict[str, Any]:
             sorted(Counter("+".join(sorted(pair.categories)) for pair in suite.pairs).items())
         ),
         **variety_of(suite),
+        **({"perceived": perceived} if perceived else {}),
     }
 
 
@@ -241,6 +243,8 @@ def _faults(pair: Pair, layouts: dict[str, Layout]) -> Iterator[str]:
         yield "expected at least one category, one violated field and one reason"
     if [item.channel for item in pair.inputs] != list(pair.channels):
         yield "expected one input for each of `channels`, in their order"
+    if any(not 0 <= record.input < len(pair.inputs) for record in pair.perceived):
+        yield "expected in `perceived` numbers of `inputs`, counted from 0"
     if not pair.attack.plan or not pair.benign.plan or not pair.update:
         yield "expected a plan of the attack, one of the benign run, and an update"
     unknown = {*pair.commissioned} - {*layout.site.get("vocabulary", {})}

@@ -19,7 +19,7 @@ from missionpair.suites._canonical import canonical
 from missionpair.variants._twin import AttackVariant, AttackVariants
 from missionpair.variants.parameter import most_of
 from missionpair.wording import coordinate, is_for, persuade, say, say_in
-from missionpair.wording.productions import LANGUAGES
+from missionpair.wording.productions import OURS, Grammar
 from missionpair.words import Category, Channel, Domain, Family
 
 #: Steps of the mission that may come before an attack in its own plan.
@@ -87,11 +87,13 @@ class PairMaker:
     Args:
         makers: what they are made of.
         name: the suite's; its pairs are drawn from it.
+        grammar: the sentences of their texts.
     """
 
-    def __init__(self, makers: Makers, name: str) -> None:
+    def __init__(self, makers: Makers, name: str, *, grammar: Grammar = OURS) -> None:
         self.makers = makers
         self.name = name
+        self.grammar = grammar
         self._seen: set[str] = set()
 
     def pair(
@@ -125,7 +127,9 @@ class PairMaker:
             except UnfitDraw:
                 continue
             twin = prolonged(twin) if is_longer else twin
-            found = pair_of(twin, cell, number, seed=rng.getrandbits(31), told=told)
+            found = pair_of(
+                twin, cell, number, seed=rng.getrandbits(31), told=told, grammar=self.grammar
+            )
             form = canonical(found, ground.layout)
             if is_other and all(call in found.benign.plan for call in found.attack.plan):
                 continue
@@ -149,7 +153,9 @@ def prolonged(twin: AttackVariant) -> AttackVariant:
     if twin.start != start or twin.before != (PriorAct(do="activate", mission="v1"), *run):
         return twin
     firsts = range(max(0, number - _MOST_BEFORE), errand.begin(number) + 1)
-    first = next((at for at in firsts if errand.cold(at)), number)
+    first = next((at for at in firsts if at == 0 or errand.cold(at)), number)
+    if first == number:
+        return twin
     plan = (*errand.calls(errand.steps[first:number]), *twin.plan)
     if is_for(plan, twin.authorized) is not is_for(twin.plan, twin.authorized):
         return twin
@@ -157,7 +163,13 @@ def prolonged(twin: AttackVariant) -> AttackVariant:
 
 
 def pair_of(
-    twin: AttackVariant, cell: Cell, number: int, *, seed: int, told: Told = Told.ONCE
+    twin: AttackVariant,
+    cell: Cell,
+    number: int,
+    *,
+    seed: int,
+    told: Told = Told.ONCE,
+    grammar: Grammar = OURS,
 ) -> Pair:
     """Return the pair of a twin, with the words in which its channels ask for it.
 
@@ -167,6 +179,7 @@ def pair_of(
         number: counts the cell's pairs.
         seed: draws the wording.
         told: in how many texts.
+        grammar: the sentences.
     """
     channels: tuple[Channel, ...] = (cell.channel,) * (3 if told is Told.IN_TURNS else 1)
     if told is Told.ON_TWO_CHANNELS:
@@ -190,7 +203,7 @@ def pair_of(
         benign=twin.benign,
         attack=twin.scenario,
         update=twin.update,
-        inputs=spoken(twin, cell, channels, seed, told),
+        inputs=spoken(twin, cell, channels, seed, told, grammar),
         violates=twin.violates,
         reasons=twin.reasons or twin.violates,
         commissioned=twin.commissioned,
@@ -198,7 +211,12 @@ def pair_of(
 
 
 def spoken(
-    twin: AttackVariant, cell: Cell, channels: tuple[Channel, ...], seed: int, told: Told
+    twin: AttackVariant,
+    cell: Cell,
+    channels: tuple[Channel, ...],
+    seed: int,
+    told: Told,
+    grammar: Grammar,
 ) -> tuple[Input, ...]:
     """Return what reaches the planner: the one place that asks for wording.
 
@@ -210,6 +228,7 @@ def spoken(
         "seed": seed,
         "category": cell.category,
         "most": most_said(words, words.robots[twin.robot]),
+        "grammar": grammar,
     }
     if len(channels) == 3:
         return persuade(cell.family, cell.channel, twin.plan, **more)
@@ -218,8 +237,8 @@ def spoken(
         return coordinate(cell.family, both, twin.plan, **more)
     text = None
     if told is Told.IN_ANOTHER_LANGUAGE:
-        language = tuple(LANGUAGES)[seed % len(LANGUAGES)]
-        known = {name: more[name] for name in ("authorized", "seed", "most")}
+        language = tuple(grammar.languages)[seed % len(grammar.languages)]
+        known = {name: more[name] for name in ("authorized", "seed", "most", "grammar")}
         text = say_in(language, cell.family, twin.plan, **known)
     return (Input(channels[0], text or say(cell.family, channels[0], twin.plan, **more)),)
 

@@ -9,8 +9,9 @@ two channels.
 from __future__ import annotations
 
 import re
+from functools import lru_cache
 
-from missionpair.pair import Suite
+from missionpair.pair import Pair, Suite
 from missionpair.registry import UnknownNameError
 from missionpair.suites._making import Makers, PairMaker, Told, suite_of
 
@@ -23,21 +24,29 @@ LONGER = frozenset({2, 3, 4})
 TOLD = {3: Told.IN_ANOTHER_LANGUAGE, 4: Told.IN_TURNS, 5: Told.ON_TWO_CHANNELS}
 
 
+@lru_cache(maxsize=1)
 def make(each: str = str(EACH)) -> Suite:
     """Return the suite; `each` pairs of each cell, for a smaller one.
 
     Raises:
         UnknownNameError: `each` is no whole number from 1 on.
     """
-    if not re.fullmatch(r"[1-9][0-9]{0,3}", each):
-        text = f"`full`: `each` is `{each[:80]}`: expected a whole number from 1 to 9999"
-        raise UnknownNameError(text)
     makers = Makers()
-    maker = PairMaker(makers, "full")
-    count = int(each)
-    pairs = [
-        maker.pair(cell, number, told=TOLD.get(number, Told.ONCE), is_longer=number in LONGER)
-        for cell in makers.cells()
-        for number in range(1, count + 1)
-    ]
+    pairs = matrix("full", PairMaker(makers, "full"), each)
     return suite_of("full", VERSION, makers, pairs)
+
+
+def matrix(name: str, maker: PairMaker, each: str) -> list[Pair]:
+    """Return so many pairs of each cell, for the suite of that name.
+
+    Raises:
+        UnknownNameError: `each` is no whole number from 1 on.
+    """
+    if not re.fullmatch(r"[1-9][0-9]{0,3}", each):
+        text = f"`{name}`: `each` is `{each[:80]}`: expected a whole number from 1 to 9999"
+        raise UnknownNameError(text)
+    return [
+        maker.pair(cell, number, told=TOLD.get(number, Told.ONCE), is_longer=number in LONGER)
+        for cell in maker.makers.cells()
+        for number in range(1, int(each) + 1)
+    ]

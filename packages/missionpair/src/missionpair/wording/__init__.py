@@ -4,6 +4,7 @@
 Spec page: docs/spec/missionpair-access.md#wording
 """
 
+from missionpair.wording.foreign import is_foreign
 from missionpair.wording.force import strengthen
 from missionpair.wording.grammar import (
     Derivation,
@@ -31,6 +32,7 @@ __all__ = [
     "cross",
     "derive",
     "is_for",
+    "is_foreign",
     "mutate",
     "neutral",
     "obfuscate",

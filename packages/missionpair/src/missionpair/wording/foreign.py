@@ -39,6 +39,11 @@ def back(text: str) -> str:
     return _FOREIGN.sub(lambda match: _translated(match, _BACK), text)
 
 
+def is_foreign(text: str) -> bool:
+    """True when a text has phrases of another language."""
+    return back(text) != text
+
+
 def _translated(match: re.Match[str], table: dict[str, str]) -> str:
     """Return what stands for a phrase; one that begins a sentence goes on beginning it."""
     found = match[0]

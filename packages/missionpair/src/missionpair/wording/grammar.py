@@ -17,15 +17,7 @@ from msgspec.structs import replace
 from missionpair.pair import Input, Value, WordedCall
 from missionpair.wording.asks import NOTHING, put
 from missionpair.wording.foreign import TABLES, into
-from missionpair.wording.productions import (
-    CLAIMS,
-    LANGUAGES,
-    PERSUASION,
-    PRODUCTIONS,
-    STYLES,
-    WRITTEN,
-    sentences_of,
-)
+from missionpair.wording.productions import OURS, Grammar, sentences_of
 from missionpair.words import Channel, Family
 
 #: How many ways to choose verbs are distinguished; each ask takes the next verb of its frame.
@@ -46,6 +38,7 @@ class Derivation(Struct, frozen=True, kw_only=True):
         same: it asks for the very place or thing that the mission has there, so that it must not
             speak against it.
         choices: a sentence, or a production's name, for each slot of `slots`.
+        grammar: the sentences.
     """
 
     family: Family
@@ -53,43 +46,62 @@ class Derivation(Struct, frozen=True, kw_only=True):
     category: str = ""
     same: bool = False
     choices: dict[str, str]
+    grammar: Grammar = OURS
 
 
 def slots(
-    family: Family, channel: Channel, *, category: str = "", same: bool = False
+    family: Family,
+    channel: Channel,
+    *,
+    category: str = "",
+    same: bool = False,
+    grammar: Grammar = OURS,
 ) -> dict[str, tuple[str, ...]]:
     """Return every slot of a text with what may stand there."""
-    style = STYLES[channel]
-    written = sentences_of(WRITTEN, category, family, same=same)
+    style, common = grammar.styles[channel], grammar.productions
+    written = sentences_of(grammar.written, category, family, same=same)
     return {
         "form": _FORMS if written else _FORMS[:1],
         "written": written or ("",),
-        "claim": sentences_of(CLAIMS, category, family, same=same) or ("",),
+        "claim": sentences_of(grammar.claims, category, family, same=same) or ("",),
         "authority": ("", *style.authority),
         "reason": ("", *style.reason),
         "urgency": ("", *style.urgency),
         "former": ("", *(style.further if same else style.former)),
-        "manner": tuple(PRODUCTIONS.manner),
-        "joining": tuple(PRODUCTIONS.joining),
+        "manner": tuple(common.manner),
+        "joining": tuple(common.joining),
         "verbs": _VERBS,
         "closing": ("", *style.closing),
-        "arrangement": tuple(PRODUCTIONS.arrangement),
+        "arrangement": tuple(common.arrangement),
         "setting": style.settings,
-        "scene": PRODUCTIONS.scenes[family].of(same=same) or ("",),
-        "confirmation": PRODUCTIONS.confirmations,
+        "scene": common.scenes[family].of(same=same) or ("",),
+        "confirmation": common.confirmations,
     }
 
 
 def derive(
-    family: Family, channel: Channel, *, seed: int, category: str = "", same: bool = False
+    family: Family,
+    channel: Channel,
+    *,
+    seed: int,
+    category: str = "",
+    same: bool = False,
+    grammar: Grammar = OURS,
 ) -> Derivation:
     """Return a derivation drawn by the seed."""
-    open_slots = slots(family, channel, category=category, same=same)
+    open_slots = slots(family, channel, category=category, same=same, grammar=grammar)
     drawn = {
         slot: among[drawn_number(f"{seed}/{family}/{channel}/{slot}", len(among))]
         for slot, among in open_slots.items()
     }
-    return Derivation(family=family, channel=channel, category=category, same=same, choices=drawn)
+    return Derivation(
+        family=family,
+        channel=channel,
+        category=category,
+        same=same,
+        choices=drawn,
+        grammar=grammar,
+    )
 
 
 def mutate(derivation: Derivation, random: Random, *, changes: int = 1) -> Derivation:
@@ -145,11 +157,11 @@ def write(
         raise ValueError("a text that asks for nothing is no attack")
     chosen = derivation.choices
     if chosen["form"] == "written":
-        done = _about(chosen["written"], authorized).replace("{do}", _asked(asks, derivation, most))
+        done = _about(derivation, "written", authorized).replace("{do}", _asked(asks, derivation, most))
         return _set(derivation, done if done[-1] in ".!?" else f"{done}.", authorized)
-    filled = {slot: _about(chosen[slot], authorized) for slot in _SAID}
+    filled = {slot: _about(derivation, slot, authorized) for slot in _SAID}
     filled["ask"] = ask_text(asks, derivation, most)
-    order = PRODUCTIONS.arrangement[chosen["arrangement"]]
+    order = derivation.grammar.productions.arrangement[chosen["arrangement"]]
     body = " ".join(filter(None, (filled[slot] for slot in order)))
     return _set(derivation, body, authorized)
 
@@ -163,6 +175,7 @@ def say(
     seed: int,
     category: str = "",
     most: Mapping[str, Value] = NOTHING,
+    grammar: Grammar = OURS,
 ) -> str:
     """Return a text that makes the family's claim on the channel and asks for exactly these calls.
 
@@ -174,12 +187,13 @@ def say(
         seed: draws the wording.
         category: what the attack changes; empty where that is not known.
         most: by argument, the most of it: that is said in words.
+        grammar: the sentences.
 
     Raises:
         ValueError: nothing is asked for.
     """
     same = is_for(asks, authorized)
-    drawn = derive(family, channel, seed=seed, category=category, same=same)
+    drawn = derive(family, channel, seed=seed, category=category, same=same, grammar=grammar)
     return write(drawn, asks, authorized=authorized, most=most)
 
 
@@ -192,6 +206,7 @@ def coordinate(
     seed: int,
     category: str = "",
     most: Mapping[str, Value] = NOTHING,
+    grammar: Grammar = OURS,
 ) -> tuple[Input, Input]:
     """Return two texts that support each other: the first claims and asks, the second confirms.
 
@@ -204,10 +219,17 @@ def coordinate(
     if first is second:
         raise ValueError(f"two channels are expected, got `{first}` twice")
     claimed = say(
-        family, first, asks, authorized=authorized, seed=seed, category=category, most=most
+        family,
+        first,
+        asks,
+        authorized=authorized,
+        seed=seed,
+        category=category,
+        most=most,
+        grammar=grammar,
     )
     same = is_for(asks, authorized)
-    drawn = derive(family, second, seed=seed, category=category, same=same)
+    drawn = derive(family, second, seed=seed, category=category, same=same, grammar=grammar)
     return Input(first, claimed), Input(second, confirm(drawn, authorized=authorized))
 
 
@@ -219,19 +241,21 @@ def say_in(
     authorized: str,
     seed: int,
     most: Mapping[str, Value] = NOTHING,
+    grammar: Grammar = OURS,
 ) -> str | None:
     """Return a text in another language that asks for these calls; None where it has no words.
 
     Args:
-        language: one of `LANGUAGES`.
+        language: one of the grammar's.
         family: what it claims.
         asks: what it asks for, in order.
         authorized: what the mission has where the attack changes it.
         seed: draws the wording.
         most: by argument, the most of it: that is said in words.
+        grammar: the sentences.
     """
     same = is_for(asks, authorized)
-    texts = LANGUAGES[language][family].of(same=same)
+    texts = grammar.languages[language][family].of(same=same)
     parts = [put(call, turn=0, most=most) for call in asks]
     table = TABLES[language]
     framed = all(any(part.startswith(verb) for verb in table) for part in parts)
@@ -251,6 +275,7 @@ def persuade(
     seed: int,
     category: str = "",
     most: Mapping[str, Value] = NOTHING,
+    grammar: Grammar = OURS,
 ) -> tuple[Input, Input, Input]:
     """Return three texts, one after the other: a friendly word, the claim, and the ask.
 
@@ -262,17 +287,17 @@ def persuade(
     if not asks:
         raise ValueError("a text that asks for nothing is no attack")
     same = is_for(asks, authorized)
-    drawn = derive(family, channel, seed=seed, category=category, same=same)
+    drawn = derive(family, channel, seed=seed, category=category, same=same, grammar=grammar)
     said = {
         name: among[drawn_number(f"{seed}/{name}", len(among))]
         for name, among in (
-            ("opening", PERSUASION.opening),
-            ("bridge", PERSUASION.bridge),
-            ("last", PERSUASION.last),
+            ("opening", grammar.persuasion.opening),
+            ("bridge", grammar.persuasion.bridge),
+            ("last", grammar.persuasion.last),
         )
     }
-    claim = _about(drawn.choices["claim"], authorized)
-    scene = _about(drawn.choices["scene"], authorized) if channel is Channel.SCENE else ""
+    claim = _about(drawn, "claim", authorized)
+    scene = _about(drawn, "scene", authorized) if channel is Channel.SCENE else ""
     first, second = said["opening"], " ".join(filter(None, (scene, claim, said["bridge"])))
     third = f"{said['last']} {ask_text(asks, drawn, most)}"
     return Input(channel, first), Input(channel, second), Input(channel, third)
@@ -280,8 +305,7 @@ def persuade(
 
 def confirm(derivation: Derivation, *, authorized: str) -> str:
     """Return a text that makes the claim, says that it was checked, and asks for nothing."""
-    chosen = derivation.choices
-    parts = (_about(chosen[slot], authorized) for slot in ("confirmation", "claim", "authority"))
+    parts = (_about(derivation, slot, authorized) for slot in ("confirmation", "claim", "authority"))
     return _set(derivation, " ".join(filter(None, parts)), authorized)
 
 
@@ -289,7 +313,7 @@ def ask_text(
     asks: Sequence[WordedCall], derivation: Derivation, most: Mapping[str, Value] = NOTHING
 ) -> str:
     """Return the sentences that ask for the calls, in order."""
-    manner = PRODUCTIONS.manner[derivation.choices["manner"]]
+    manner = derivation.grammar.productions.manner[derivation.choices["manner"]]
     return _capital(_asked(asks, derivation, most, manner)) + "."
 
 
@@ -300,7 +324,7 @@ def _asked(
     manner: str = "{ask}",
 ) -> str:
     """Return what asks for the calls, without an end; the first one is put in the manner."""
-    first, later, last = PRODUCTIONS.joining[derivation.choices["joining"]]
+    first, later, last = derivation.grammar.productions.joining[derivation.choices["joining"]]
     turn = int(derivation.choices["verbs"])
     text = ""
     for number, call in enumerate(asks):
@@ -316,9 +340,8 @@ def _asked(
 
 def _set(derivation: Derivation, body: str, authorized: str) -> str:
     """Return what is said as it stands on its channel."""
-    chosen = derivation.choices
-    scene = _about(chosen["scene"], authorized)
-    return chosen["setting"].replace("{scene}", scene).replace("{body}", body)
+    scene = _about(derivation, "scene", authorized)
+    return derivation.choices["setting"].replace("{scene}", scene).replace("{body}", body)
 
 
 def _slots_of(derivation: Derivation) -> dict[str, tuple[str, ...]]:
@@ -327,6 +350,7 @@ def _slots_of(derivation: Derivation) -> dict[str, tuple[str, ...]]:
         derivation.channel,
         category=derivation.category,
         same=derivation.same,
+        grammar=derivation.grammar,
     )
 
 
@@ -335,8 +359,9 @@ def drawn_number(key: str, below: int) -> int:
     return int.from_bytes(blake2b(key.encode(), digest_size=8).digest()) % below
 
 
-def _about(text: str, authorized: str) -> str:
-    filled = text.replace("{it}", authorized or PRODUCTIONS.nothing)
+def _about(derivation: Derivation, slot: str, authorized: str) -> str:
+    nothing = derivation.grammar.productions.nothing
+    filled = derivation.choices[slot].replace("{it}", authorized or nothing)
     return _capital(filled)
 
 

@@ -1,24 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """The sentences of the grammar: what an attack claims, how one speaks on a channel, what joins it.
 
-They stand in `claims.toml`, `styles.toml` and `productions.toml`, whole texts in `written.toml`.
-`{it}` stands for what the
-mission has there. No sentence but an ask has a verb that is read as an ask, unless it is denied.
+They stand in `claims.toml`, `styles.toml`, `persuasion.toml` and `productions.toml`, whole texts in
+`written.toml` and `languages.toml`. `{it}` stands for what the mission has there. No sentence but an ask has a verb that is read as an ask, unless it is denied.
 Spec page: docs/spec/missionpair-access.md#wording
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Iterator
 from importlib.resources import files
-from typing import TypeVar
+from pathlib import Path
 
 import msgspec
 from msgspec import Struct
 
 from missionpair.words import Channel, Family
-
-T = TypeVar("T")
 
 _CHOICE = re.compile(r"\[([^\[\]]*\|[^\[\]]*)\]")
 
@@ -110,13 +108,86 @@ def variants(sentence: str) -> tuple[str, ...]:
     )
 
 
-def _read(name: str, kind: type[T]) -> T:
-    """Return a file's content, with every choice made in every way."""
-    plain = msgspec.toml.decode(files("missionpair.wording").joinpath(name).read_bytes())
-    return msgspec.convert(_expanded(plain), kind)
+class Grammar(Struct, frozen=True, eq=False):
+    """All sentences, one file for each field.
+
+    Args:
+        productions: what is the same for every claim and channel.
+        claims: what is claimed, by category (`combined` is one) and family.
+        written: whole texts, in the same way.
+        styles: how one speaks, by channel.
+        persuasion: what is said around claim and ask in three turns.
+        languages: whole texts in other languages, by language and family.
+    """
+
+    productions: Productions
+    claims: dict[str, dict[Family, Sided]]
+    written: dict[str, dict[Family, Sided]]
+    styles: dict[Channel, ChannelStyle]
+    persuasion: Persuasion
+    languages: dict[str, dict[Family, Sided]]
+
+
+class GrammarError(ValueError):
+    """A folder with sentences that cannot be used; the message says where and why."""
+
+
+def read_grammar(folder: Path | None = None) -> Grammar:
+    """Return our sentences, with those of a folder's files in their place.
+
+    Args:
+        folder: has at least one of our files, by our name, in our form; None for ours alone.
+
+    Raises:
+        GrammarError: it has none of them, or one that cannot be read.
+    """
+    found: dict[str, object] = {}
+    ours = files("missionpair.wording")
+    names = [f"{field}.toml" for field in Grammar.__struct_fields__]
+    if folder is not None and not any((folder / name).is_file() for name in names):
+        raise GrammarError(f"{folder}: expected at least one of {', '.join(names)}")
+    for name in names:
+        other = folder / name if folder is not None else None
+        path = other if other is not None and other.is_file() else ours / name
+        try:
+            found[name.removesuffix(".toml")] = _expanded(msgspec.toml.decode(path.read_bytes()))
+        except (msgspec.DecodeError, UnicodeDecodeError) as error:
+            raise GrammarError(f"{path}: {error}") from error
+    where = folder or "missionpair.wording"
+    try:
+        grammar = msgspec.convert(found, Grammar)
+    except msgspec.ValidationError as error:
+        raise GrammarError(f"{where}: {error}") from error
+    for fault in _faults(grammar):
+        raise GrammarError(f"{where}: {fault}")
+    return grammar
+
+
+def _faults(grammar: Grammar) -> Iterator[str]:
+    """Yield what the types cannot say: a text without its ask would attack nothing."""
+    needed: list[tuple[str, Iterable[str], str]] = [
+        (f"{name}.toml", _all_of(held), "{do}")
+        for name, held in (("written", grammar.written), ("languages", grammar.languages))
+    ]
+    for channel, style in grammar.styles.items():
+        needed.append((f"styles.toml, {channel}.settings", style.settings, "{body}"))
+    needed.append(("productions.toml, manner", grammar.productions.manner.values(), "{ask}"))
+    for place, sentences, slot in needed:
+        for text in sentences:
+            if text.count(slot) != 1:
+                yield f"{place}: expected `{slot}` once in `{text[:80]}`"
+    if {*grammar.styles} != {*Channel}:
+        yield f"styles.toml: expected each of {', '.join(Channel)}"
+
+
+def _all_of(held: dict[str, dict[Family, Sided]]) -> Iterator[str]:
+    for families in held.values():
+        for sided in families.values():
+            yield from (*sided.against, *sided.same, *sided.any)
 
 
 def _expanded(value: object) -> object:
+    """Return a file's content, with every choice made in every way."""
     if isinstance(value, dict):
         return {key: _expanded(item) for key, item in value.items()}
     if isinstance(value, list):
@@ -124,15 +195,9 @@ def _expanded(value: object) -> object:
     return value
 
 
-PRODUCTIONS = _read("productions.toml", Productions)
-#: Whole texts, by category and family.
-WRITTEN = _read("written.toml", dict[str, dict[Family, Sided]])
-#: What is claimed, by category (`combined` is one) and family.
-CLAIMS = _read("claims.toml", dict[str, dict[Family, Sided]])
-#: Whole texts in other languages, by language and family.
-LANGUAGES = _read("languages.toml", dict[str, dict[Family, Sided]])
-PERSUASION = _read("persuasion.toml", Persuasion)
-STYLES = _read("styles.toml", dict[Channel, ChannelStyle])
+OURS = read_grammar()
+PRODUCTIONS, STYLES = OURS.productions, OURS.styles
+CLAIMS, WRITTEN, LANGUAGES = OURS.claims, OURS.written, OURS.languages
 
 
 def sentences_of(
@@ -141,7 +206,7 @@ def sentences_of(
     """Return what an attack may say.
 
     Args:
-        held: `CLAIMS` or `WRITTEN`.
+        held: a grammar's claims, or its whole texts.
         category: what it changes; of one that is not known, or not of ours, every category that
             the family is a reason for.
         family: what it claims.
