@@ -27,7 +27,9 @@ RECIPES: dict[str, tuple[tuple[str, ...], ...]] = {
     # Inspect is heavy, and in no lock file
     "inspect": (("--editable", ".", "--editable", "packages/missionpair[inspect,llm]", COVERAGE),),
     # fonts, a recognizer of speech with its model, and what counts wrong words
-    "perception": (("--editable", ".", "--editable", "packages/missionpair[perception]", COVERAGE),),
+    "perception": (
+        ("--editable", ".", "--editable", "packages/missionpair[perception]", COVERAGE),
+    ),
     # ROSA needs LangChain 0.3 and rclpy, and pins a PyYAML that is too old for us
     "rosa": (("jpl-rosa==1.0.10", *RCLPY), ("--editable", ".", COVERAGE)),
     # RAI is heavy, and needs rclpy

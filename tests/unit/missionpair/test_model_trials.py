@@ -3,18 +3,23 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from authguard_r.authoring.compile.card import review
 from fixtures import mission_pairs
 from fixtures.cases import case
 from missionpair import attackers, defenses, planners, registry
-from missionpair.attackers._model import MAX_TEXT
+from missionpair.attackers._model import MAX_TEXT, MeteredModel
 from missionpair.briefing import PlannerError
 from missionpair.campaign.log import LogWriter
 from missionpair.campaign.trial import PairRun, Setting
+from missionpair.defenses import Defense
+from missionpair.execution import ExecutedPlan
+from missionpair.pair import plan_bytes
 from missionpair.planners._answers import read_answer
 from missionpair.planners._client import Completion
 from missionpair.records import SCHEMA, Campaign, NamedPart, Trial
@@ -168,3 +173,70 @@ def test_a_log_of_a_model_is_replayed_without_it(yard: Yard, tmp_path: Path, mod
     assert [(t.complied, t.blocked, t.reasons) for t in again] == [
         (t.complied, t.blocked, t.reasons) for t in first
     ]
+
+
+class TestJudge:
+    """A model that is asked about every action: it decides, and no answer is no."""
+
+    def judged(self, yard: Yard, behavior: str) -> ExecutedPlan:
+        stage = yard.stage(TO_103, mission_pairs.layout(), TO_103.attack)
+        stage.show(TO_103.inputs)
+        with SERVERS["openai"](behavior) as server:
+            defense: Defense = _judge(server)
+            defense.begin(seed=3)
+            return defense.carry_out(stage, plan_bytes(TO_103.attack.plan))
+
+    def test_what_it_allows_is_done_and_judged_by_the_oracle(self, yard: Yard) -> None:
+        carried = self.judged(yard, "obedient")
+        assert carried.completed
+        assert not carried.effects[-1].authorized
+
+    def test_what_it_denies_is_not_done(self, yard: Yard) -> None:
+        carried = self.judged(yard, "resistant")
+        assert (carried.by, carried.reasons, carried.effects) == ("judge", ("DENIED",), ())
+
+    @pytest.mark.parametrize("behavior", ["odd:nonsense", "odd:nothing", "odd:refusal"])
+    def test_no_clear_answer_is_no(self, yard: Yard, behavior: str) -> None:
+        carried = self.judged(yard, behavior)
+        assert (carried.reasons, carried.effects) == (("NO_CLEAR_ANSWER",), ())
+
+    def test_it_sees_the_card_and_no_text_of_the_attacker_unless_asked_to(
+        self, yard: Yard, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        shown: list[str] = []
+
+        def ask(_: object, system: str, messages: Any, *, seed: int) -> str:
+            shown.append(system + messages[0][1])
+            return "DENY"
+
+        monkeypatch.setattr(MeteredModel, "ask", ask)
+        stage = yard.stage(TO_103, mission_pairs.layout(), TO_103.attack)
+        stage.show(TO_103.inputs)
+        with SERVERS["openai"]() as server:
+            for texts in ("no", "yes"):
+                _judge(server, texts=texts).carry_out(stage, plan_bytes(TO_103.attack.plan))
+        blind, sees = shown
+        card = review(stage.scene.mission, stage.bench.site)
+        assert all(line in blind for line in card)
+        assert TO_103.inputs[0].text not in blind
+        assert TO_103.inputs[0].text in sees
+
+    def test_a_server_that_is_not_there_is_an_error_of_the_trial(self, yard: Yard) -> None:
+        with SERVERS["openai"]() as server:
+            defense = _judge(server)
+        made = dataclasses.replace(setting("hijacked"), defenses=(defense,))
+        (trial,) = PairRun(made, yard, TO_103, mission_pairs.layout(), first=0).trials()
+        assert "cannot be reached" in trial.error
+        assert trial.unauthorized == 0
+        assert not trial.blocked
+
+    def test_it_needs_a_live_model(self) -> None:
+        for wrong in ("judge", "judge:model=hijacked", "judge:model=qwen,texts=maybe"):
+            with pytest.raises(registry.SpecificationError, match=r"model|yes"):
+                registry.make(defenses, wrong)
+
+
+def _judge(server: StandInServer, **options: str) -> Any:
+    model = f"openai:model=scripted-x;base_url={server.base_url};retries=0"
+    more = "".join(f",{name}={value}" for name, value in options.items())
+    return registry.make(defenses, f"judge:model={model}{more}")

@@ -15,7 +15,7 @@ from missionpair.stage import Yard
 pytestmark = pytest.mark.complete
 
 #: Every how-manieth pair of each suite a quick run proves.
-SLICES = {"live": 12, "updates": 17, "availability": 50, "stress": 61}
+SLICES = {"live": 12, "updates": 17, "availability": 50, "stress": 61, "full": 197}
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +38,13 @@ def told(suite: Suite, pair: Pair, yard: Yard) -> dict[str, str]:
 def test_a_slice_of_each_suite_is_what_its_author_says(name: str, yard: Yard) -> None:
     suite = loaded(name)[0]
     assert prove(suite, pairs=suite.pairs[:: SLICES[name]], yard=yard) == ()
+
+
+def test_plans_that_begin_with_steps_of_the_mission_are_what_their_author_says(yard: Yard) -> None:
+    # five pairs of a cell are made in five ways: a step that is a multiple of five sees one of them
+    suite = loaded("full")[0]
+    longer = [pair for pair in suite.pairs if len(pair.attack.plan) > 2]
+    assert prove(suite, pairs=longer[::41], yard=yard) == ()
 
 
 def test_hand_made_attacks_and_controls_are_what_their_author_says(hand: Suite, yard: Yard) -> None:

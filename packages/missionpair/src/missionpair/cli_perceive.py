@@ -22,7 +22,8 @@ def perceive_command(
     suite: Annotated[str, typer.Argument(help="A suite's name, or the path of its file.")],
     out: Annotated[Path, typer.Option("--out", help="A new file for the perceived suite.")],
     every: Annotated[
-        int, typer.Option("--every", min=1, help="Take every so many-th pair that can be perceived.")
+        int,
+        typer.Option("--every", min=1, help="Take every so many-th pair that has one."),
     ] = 1,
     pairs: Annotated[
         int | None, typer.Option("--pairs", min=1, help="How many of them; all if absent.")

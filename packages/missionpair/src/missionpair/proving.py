@@ -125,7 +125,7 @@ def _judged(stage: Stage, raw: bytes, pair: Pair) -> list[str]:
         codes.update(dict.fromkeys(effect.reasons))
         if not effect.safe:
             found.append(f"the safety model does not accept action {number}")
-        if not walk.go_on(action):
+        if not walk.go_on(action, grant=effect.grant if effect.authorized else ""):
             found.append(f"action {number} cannot be carried out")
             break
     if set(codes) != set(pair.violates):

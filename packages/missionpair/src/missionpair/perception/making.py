@@ -44,7 +44,7 @@ def perceive(
     *,
     jobs: int = 1,
     keep: Path | None = None,
-    show: Callable[[int], None] = lambda done: None,
+    show: Callable[[int], None] = lambda _: None,
 ) -> Suite:
     """Return the pairs of a suite that have a sign or speech, as a robot reads and hears them.
 
@@ -101,9 +101,7 @@ def perceived(item: Input, key: str, number: int = 0) -> Perception:
         text, how, suffix = speech.hear(seen), (voice,), ".wav"
         by = f"{speech.speaker(voice)}, {speech.recognizer_name()}"
     words, wrong = word_errors(item.text, text)
-    record = Perceived(
-        input=number, written=item.text, by=by, how=how, words=words, wrong=wrong
-    )
+    record = Perceived(input=number, written=item.text, by=by, how=how, words=words, wrong=wrong)
     return Perception(record, text, seen, suffix)
 
 

@@ -57,9 +57,7 @@ def version_of(program: str) -> str:
     return f"{program} {found[0]}" if found else program
 
 
-def _ended(
-    program: str, *arguments: str, stdin: bytes = b""
-) -> subprocess.CompletedProcess[bytes]:
+def _ended(program: str, *arguments: str, stdin: bytes = b"") -> subprocess.CompletedProcess[bytes]:
     if shutil.which(program) is None:
         text = f"no program `{program}`; install it: apt-get install {_PACKAGES[program]}"
         raise PerceptionError(text)
@@ -67,7 +65,7 @@ def _ended(
     env = {**os.environ, "OMP_THREAD_LIMIT": "1"}
     command = [program, *arguments]
     try:
-        return subprocess.run(
+        return subprocess.run(  # noqa: S603 - the program is one of `_PACKAGES`
             command, input=stdin, capture_output=True, check=False, timeout=_SECONDS, env=env
         )
     except subprocess.TimeoutExpired as error:

@@ -241,10 +241,7 @@ def _faults(pair: Pair, layouts: dict[str, Layout]) -> Iterator[str]:
         yield "expected `v1`, the attacked mission, as the first of `missions`"
     if not pair.categories or not pair.violates or not pair.reasons:
         yield "expected at least one category, one violated field and one reason"
-    if [item.channel for item in pair.inputs] != list(pair.channels):
-        yield "expected one input for each of `channels`, in their order"
-    if any(not 0 <= record.input < len(pair.inputs) for record in pair.perceived):
-        yield "expected in `perceived` numbers of `inputs`, counted from 0"
+    yield from _input_faults(pair)
     if not pair.attack.plan or not pair.benign.plan or not pair.update:
         yield "expected a plan of the attack, one of the benign run, and an update"
     unknown = {*pair.commissioned} - {*layout.site.get("vocabulary", {})}
@@ -256,6 +253,13 @@ def _faults(pair: Pair, layouts: dict[str, Layout]) -> Iterator[str]:
             yield f"no robot of the layout is called `{scenario.robot}`"
     for act in (*pair.benign.before, *pair.attack.before, *pair.update):
         yield from _act_faults(act, pair)
+
+
+def _input_faults(pair: Pair) -> Iterator[str]:
+    if [item.channel for item in pair.inputs] != list(pair.channels):
+        yield "expected one input for each of `channels`, in their order"
+    if any(not 0 <= record.input < len(pair.inputs) for record in pair.perceived):
+        yield "expected in `perceived` numbers of `inputs`, counted from 0"
 
 
 def _act_faults(act: PriorAct, pair: Pair) -> Iterator[str]:

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Signs that Tesseract read and sentences that a recognizer heard: pairs of `full`, as perceived.
 
-`_perceived.json` holds what was read and heard; it is made anew as docs/spec/missionpair.md#perception
-says.
+`_perceived.json` holds what was read and heard. How it is made: docs/spec/missionpair.md#perception
 """
 
 from __future__ import annotations
@@ -40,7 +39,9 @@ def make(text: str = "read") -> Suite:
         SuiteError: `full` has another version than what was perceived.
     """
     if text not in {"read", "written"}:
-        raise UnknownNameError(f"`perceived`: `text` is `{text[:80]}`: expected `read` or `written`")
+        raise UnknownNameError(
+            f"`perceived`: `text` is `{text[:80]}`: expected `read` or `written`"
+        )
     raw = files("missionpair.suites").joinpath(_DATA).read_bytes()
     data = msgspec.json.decode(raw, type=_Data)
     whole = full.make()

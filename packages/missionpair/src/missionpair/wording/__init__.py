@@ -4,8 +4,8 @@
 Spec page: docs/spec/missionpair-access.md#wording
 """
 
-from missionpair.wording.foreign import is_foreign
 from missionpair.wording.force import strengthen
+from missionpair.wording.foreign import is_foreign
 from missionpair.wording.grammar import (
     Derivation,
     confirm,

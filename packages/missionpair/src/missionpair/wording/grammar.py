@@ -157,7 +157,9 @@ def write(
         raise ValueError("a text that asks for nothing is no attack")
     chosen = derivation.choices
     if chosen["form"] == "written":
-        done = _about(derivation, "written", authorized).replace("{do}", _asked(asks, derivation, most))
+        done = _about(derivation, "written", authorized).replace(
+            "{do}", _asked(asks, derivation, most)
+        )
         return _set(derivation, done if done[-1] in ".!?" else f"{done}.", authorized)
     filled = {slot: _about(derivation, slot, authorized) for slot in _SAID}
     filled["ask"] = ask_text(asks, derivation, most)
@@ -305,7 +307,9 @@ def persuade(
 
 def confirm(derivation: Derivation, *, authorized: str) -> str:
     """Return a text that makes the claim, says that it was checked, and asks for nothing."""
-    parts = (_about(derivation, slot, authorized) for slot in ("confirmation", "claim", "authority"))
+    parts = (
+        _about(derivation, slot, authorized) for slot in ("confirmation", "claim", "authority")
+    )
     return _set(derivation, " ".join(filter(None, parts)), authorized)
 
 

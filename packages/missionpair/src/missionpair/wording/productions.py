@@ -2,7 +2,8 @@
 """The sentences of the grammar: what an attack claims, how one speaks on a channel, what joins it.
 
 They stand in `claims.toml`, `styles.toml`, `persuasion.toml` and `productions.toml`, whole texts in
-`written.toml` and `languages.toml`. `{it}` stands for what the mission has there. No sentence but an ask has a verb that is read as an ask, unless it is denied.
+`written.toml` and `languages.toml`. `{it}` stands for what the mission has there. No sentence but
+an ask has a verb that is read as an ask, unless it is denied.
 Spec page: docs/spec/missionpair-access.md#wording
 """
 
