@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import logging
 import pickle
@@ -162,6 +163,18 @@ def test_a_server_that_never_ends_is_left_in_time(kind: str, fault: str) -> None
             ask(client(kind, server, timeout_s=0.3, retries=1))
         assert server.requests == 2
     assert failed.value.code == "unreachable"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_reply_that_is_left_between_two_parts_is_closed_without_another_error(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # the timer does not end the connection, so that the time is over when the next part comes
+    monkeypatch.setattr("authguard_r.authoring.model_client.exchange._Deadline._close", bool)
+    with SERVERS[kind]("faulty:drip") as server:
+        with pytest.raises(PlannerError, match=r"did not answer within 0\.2 s"):
+            ask(client(kind, server, timeout_s=0.2, retries=0))
+        gc.collect()  # an error of a generator's end would fail this test
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -322,7 +322,8 @@ class _Deadline:
         if event == "connection.connect_tcp.complete":
             # a copy: TLS takes the socket itself over, and a shutdown of either ends both
             self._socket = info["return_value"].get_extra_info("socket").dup()
-        self.require()
+        if not event.endswith(".failed") and "closed" not in event:
+            self.require()  # what failed or is left may still be closed
 
     def _close(self) -> None:
         if self._socket is not None:

@@ -13,7 +13,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from time import perf_counter_ns
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 from authguard_r.core.action import Action
 from authguard_r.core.finding import Findings
@@ -218,20 +218,32 @@ class PairRun:
             dice.defense.begin(seed=dice.seed + number)
             stage = self._stage(dice.kind, dice.defense)
             stage.show(inputs)
-            tried = self._round(stage, replace(dice, seed=dice.seed + number), spent)
+            is_last = number == setting.rounds - 1
+            is_heard = dice.kind is TrialKind.ATTACK and (not is_last or self._learns(dice))
+            thrown = replace(dice, seed=dice.seed + number)
+            tried = self._round(stage, thrown, spent, is_heard=is_heard)
             points = score(tried.checked, setting.weights)
             tried.record = round_of(inputs, tried, points)
             yield tried
-            told = self._told(number, tried, dice) if dice.kind is TrialKind.ATTACK else b""
-            if tried.checked.succeeds or number == setting.rounds - 1:
+            told = self._told(number, tried, dice) if is_heard else b""
+            if tried.checked.succeeds or is_last:
                 return
             following = self._next_inputs(told, number, dice, spent)
             if following is None:
                 return
             inputs = following
 
-    def _round(self, stage: Stage, dice: Dice, spent: TrialCosts) -> TrialRecord:
-        """Let the planner answer, as often as it may, until its plan is carried out."""
+    def _round(
+        self, stage: Stage, dice: Dice, spent: TrialCosts, *, is_heard: bool
+    ) -> TrialRecord:
+        """Let the planner answer, as often as it may, until its plan is carried out.
+
+        Args:
+            stage: the situation.
+            dice: which trial it is.
+            spent: what it took so far.
+            is_heard: somebody is told of the round.
+        """
         usual = self._usual(dice.kind, stage)
         tried, most = TrialRecord(), self._setting.turns
         turns: tuple[EarlierTurn, ...] = ()
@@ -242,7 +254,7 @@ class PairRun:
             at = perf_counter_ns()
             checked = (check if number else check_first)(stage, reply.raw)
             spent.judging += _us(at)
-            found = self._gate_findings(dice, stage, checked)
+            found = self._gate_findings(dice, stage, checked) if is_heard else ()
             at = perf_counter_ns()
             carried = dice.defense.carry_out(stage, reply.raw)
             add(spent, carried, _us(at))
@@ -291,7 +303,7 @@ class PairRun:
 
     def _gate_findings(self, dice: Dice, stage: Stage, checked: Checked) -> tuple[Findings, ...]:
         """Return what the gate finds in a plan, where an attacker is told."""
-        if dice.kind is not TrialKind.ATTACK or self._setting.access is not Access.WHITE:
+        if self._setting.access is not Access.WHITE:
             return ()
         held = self._found
         if held is None or held[0] is not checked or held[1] is not dice.defense:
@@ -348,10 +360,13 @@ class PairRun:
     def _told(self, number: int, tried: TrialRecord, dice: Dice) -> bytes:
         """Return what the attacker sees of a round; a planner that is one sees it, too."""
         data = seen_bytes(self._setting.access, seen_of(number, tried))
-        told = getattr(self._who[dice.defense.name].planner, "told", None)
-        if told is not None:
-            told(data)
+        if self._learns(dice):
+            cast("Any", self._who[dice.defense.name].planner).told(data)
         return data
+
+    def _learns(self, dice: Dice) -> bool:
+        """True when the planner is an attacker, too, and is told of each round."""
+        return hasattr(self._who[dice.defense.name].planner, "told")
 
     def _revised(self, told: bytes, dice: Dice, spent: TrialCosts) -> tuple[Input, ...] | None:
         begun = perf_counter_ns()
