@@ -7,7 +7,7 @@ Source: `tab:pilot-live-llm`, `tab:pilot-adaptive-haiku`, `tab:pilot-qwen-fixed`
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from missionpair.measures import Dimension, MeasuredCampaign, Proportion, Tally
 from missionpair.report.names import (
@@ -184,6 +184,17 @@ def results_table(number: int, measured: MeasuredCampaign) -> Table:
     )
 
 
+def _defense_head(name: str, heads: Sequence[Head]) -> Head:
+    """Return the column of a defense; of two that look alike in a log, the later has a number."""
+    key, title = slug(name), SHORT.get(name, printable(name))
+    taken = {head.key for head in heads} | {head.name for head in heads}
+    number = 2
+    while {key, title} & taken:
+        key, title = f"{slug(name)}-{number}", f"{printable(name)} ({number})"
+        number += 1
+    return Head(key, title, ShareForm.COUNT)
+
+
 def category_table(number: int, measured: MeasuredCampaign) -> Table:
     """Return unauthorized executions over attempts by category: `tab:pilot-category`."""
     hand = measured.campaign.suite == HAND
@@ -193,10 +204,8 @@ def category_table(number: int, measured: MeasuredCampaign) -> Table:
     order = [*(told.rows if hand else ()), *CATEGORIES, *found]
     beside = [name for name in measured.defenses if hand and name in told.rows["goal"]]
     heads = [Head("category", "Category")]
-    heads += [
-        Head(slug(name), SHORT.get(name, printable(name)), ShareForm.COUNT)
-        for name in measured.defenses
-    ]
+    for name in measured.defenses:
+        heads.append(_defense_head(name, heads))
     heads += [
         Head(
             f"published_{slug(name)}", f"Published: {SHORT[name]}", ShareForm.COUNT, published=True
