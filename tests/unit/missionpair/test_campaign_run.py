@@ -339,7 +339,9 @@ def test_an_attack_ends_with_the_first_plan_that_complies(suite: Suite, yard: Ya
     assert (len(trial.rounds), trial.complied) == (5, False)
 
 
-def test_an_attacker_that_gives_up_or_fails_ends_its_trial(suite: Suite, yard: Yard) -> None:
+def test_an_attacker_without_another_text_repeats_itself_and_one_that_fails_ends_its_trial(
+    suite: Suite, yard: Yard
+) -> None:
     class Fails:
         name, simulated, parameters = "fails", True, {}
 
@@ -359,7 +361,8 @@ def test_an_attacker_that_gives_up_or_fails_ends_its_trial(suite: Suite, yard: Y
         "rounds": 3,
     }
     (trial,) = ran(suite, yard, Says(b"?"), attacker=GivesUp(), **only)
-    assert (len(trial.rounds), trial.instead) == (1, "unparsable")
+    assert (len(trial.rounds), trial.instead) == (3, "unparsable")
+    assert len({one.inputs for one in trial.rounds}) == 1
     (trial,) = ran(suite, yard, Says(b"?"), attacker=Fails(), **only)
     assert (len(trial.rounds), trial.instead) == (1, "error")
     assert "its model is away" in trial.error

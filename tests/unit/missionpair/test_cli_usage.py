@@ -34,6 +34,7 @@ WRONG: dict[str, tuple[tuple[str, ...], str]] = {
     "compare": (("one",), "LOG"),
     "require": ((), "LOG..."),
     "mutate": (("live", "--most", "none"), "--most"),
+    "perceive": (("live", "--out", "x", "--jobs", "0"), "--jobs"),
 }
 
 

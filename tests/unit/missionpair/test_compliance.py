@@ -14,14 +14,14 @@ from msgspec.structs import replace
 from authguard_reference.reasons import FIELD_OF
 from fixtures.suites import loaded
 from missionpair import defenses, registry
-from missionpair.campaign.trial import PairRun, Who
+from missionpair.campaign.trial import PairRun, Who, rest_of
 from missionpair.judging import check, check_first
-from missionpair.judging.asked import asked_changes, is_as_asked
+from missionpair.judging.asked import asked_changes, changed_as_asked
 from missionpair.judging.walk import Walk
 from missionpair.mutation import slice_of
 from missionpair.pair import Input, Pair, Suite, WordedCall, plan_bytes
 from missionpair.stage import Yard
-from missionpair.words import TrialKind
+from missionpair.words import Category, TrialKind
 from unit.missionpair.test_campaign_run import Says, ran, setting
 
 pytestmark = pytest.mark.complete
@@ -73,8 +73,8 @@ def test_an_action_complies_by_a_field_that_it_violates_and_by_no_other(
         walk = Walk.of(stage)
         walk.state = replace(walk.state, region=first.place)
         others = [code for code in FIELD_OF if FIELD_OF[code] not in first.fields]
-        assert is_as_asked(stage, walk, first.action, first.codes), pair.id
-        assert not is_as_asked(stage, walk, first.action, others), pair.id
+        assert changed_as_asked(stage, walk, first.action, first.codes), pair.id
+        assert not changed_as_asked(stage, walk, first.action, others), pair.id
 
 
 def test_the_same_plan_complies_the_same_whatever_stands_behind_it(
@@ -221,3 +221,53 @@ def test_what_is_kept_of_a_plan_is_what_the_checkers_say_of_it(suite: Suite, yar
         stage.act(pair.update)
         stage.mark()
         assert check_first(stage, plans[0]) == check(stage, plans[0]) != first[0], pair.id
+
+
+def test_a_part_of_a_combined_attack_is_not_the_attack(suite: Suite, yard: Yard) -> None:
+    full = loaded("full:each=1")[0]
+    pair = next(p for p in full.pairs if p.categories == (Category.AREA, Category.PARAMETER))
+    call = pair.attack.plan[-1]
+    numbers = {name for name, value in call.arguments.items() if isinstance(value, int | float)}
+    slow = replace(call, arguments={n: v for n, v in call.arguments.items() if n not in numbers})
+    for plan, complies in ((pair.attack.plan, True), ((slow,), False)):
+        stage = yard.stage(pair, full.layouts[pair.layout], pair.attack)
+        checked = check(stage, plan_bytes(plan))
+        assert checked.deviation > 0
+        assert checked.complied is complies
+
+
+def test_who_waits_longer_than_asked_complies_with_what_asked_to_wait(yard: Yard) -> None:
+    full = loaded("full:each=1")[0]
+    tried = 0
+    for pair in full.pairs:
+        if pair.categories != (Category.AVAILABILITY,) or len(pair.attack.plan) != 1:
+            continue
+        (call,) = pair.attack.plan
+        seconds = [n for n, v in call.arguments.items() if isinstance(v, int | float)]
+        if pair.violates != ("PARAMETER_OUT_OF_BOUNDS",) or not seconds:
+            continue
+        twice: Any = call.arguments[seconds[0]]
+        longer = replace(call, arguments={**call.arguments, seconds[0]: twice * 2})
+        stage = yard.stage(pair, full.layouts[pair.layout], pair.attack)
+        assert check(stage, plan_bytes((longer,))).complied, pair.id
+        tried += 1
+        if tried == 5:
+            break
+    assert tried
+
+
+def test_a_situation_in_which_nothing_is_left_takes_several_answers(
+    suite: Suite, yard: Yard
+) -> None:
+    full = loaded("full:each=1")[0]
+    pair = next(
+        p
+        for p in full.pairs
+        if p.categories == (Category.REPLAY,)
+        and not rest_of(yard.stage(p, full.layouts[p.layout], p.attack))
+    )
+    look = next(call for call in pair.benign.plan if call.tool.startswith(("scan", "look")))
+    says = Says(plan_bytes((look,)))
+    (trial,) = ran(full, yard, says, pair, **ATTACK, **made("none"), turns=3)
+    assert len(says.seen) == 3
+    assert not trial.completed

@@ -13,17 +13,17 @@ import pytest
 
 from fixtures import campaign_records
 from fixtures.suites import loaded
-from missionpair import defenses, planners, registry
-from missionpair.briefing import Briefing, Reply
+from missionpair import attackers, defenses, planners, registry
+from missionpair.briefing import Briefing, PlannerError, Reply
 from missionpair.campaign.showing import briefing_of
-from missionpair.campaign.trial import neutral_inputs
+from missionpair.campaign.trial import Who, neutral_inputs
 from missionpair.measures import MeasuredCampaign, Paired
 from missionpair.mutation import slice_of
 from missionpair.pair import Pair, Suite, WordedCall, plan_bytes
 from missionpair.records import Trial
 from missionpair.stage import Yard
-from missionpair.wording import neutral, read
-from missionpair.wording.neutral import SENTENCES
+from missionpair.wording import language_of, neutral, read
+from missionpair.wording.neutral import FOREIGN, SENTENCES
 from missionpair.words import CONTROLS, Category, Channel, TrialKind
 from unit.missionpair.test_campaign_run import Says, ran
 
@@ -119,13 +119,86 @@ def test_the_control_arm_has_the_situation_the_tries_and_the_dice_of_the_attack(
     for one, other in zip(attack, nothing, strict=True):
         assert (one[0].situation, one[0].task) == (other[0].situation, other[0].task)
         assert other[0].inputs == ()
-    first, *later = (briefing.inputs for briefing, _ in text)
-    lengths = [(item.channel, len(item.text)) for item in pair.inputs]
-    for inputs in (first, *later):
-        assert [item.channel for item in inputs] == [channel for channel, _ in lengths]
-        for item, (_, length) in zip(inputs, lengths, strict=True):
-            assert abs(len(item.text) - length) <= 2
-    assert first not in later
+    # as long as the attack's own text of the same try, which is stronger each time
+    for (one, _), (other, _) in zip(attack, text, strict=True):
+        assert [item.channel for item in one.inputs] == [item.channel for item in other.inputs]
+        for item, like in zip(other.inputs, one.inputs, strict=True):
+            assert abs(len(item.text) - len(like.text)) <= 2
+    assert len({len(briefing.inputs[0].text) for briefing, _ in text}) == 3
+
+
+def test_the_control_arm_has_as_many_tries_as_an_attacker_that_has_run_out_of_texts(
+    suite: Suite, yard: Yard
+) -> None:
+    pair = next(p for p in suite.pairs if p.categories[0] == Category.GOAL)
+    twin = Reply(raw=plan_bytes(pair.attack.plan))
+
+    class Late(Says):
+        def propose(self, briefing: Briefing, *, seed: int) -> Reply:
+            return twin if seed % 7 == 0 else Reply(raw=b"?")
+
+    trials = tried(suite, yard, Late(), pair, rounds=8, seeds=10)
+    assert max(len(trial.rounds) for trial in trials) > 3, "`fixed` has three texts"
+    for kind in CONTROLS:
+        found = paired(trials)[kind]
+        assert (found.attack, found.control) == (0, 0)
+        assert found.both
+
+
+def test_what_learns_from_verdicts_learns_in_each_arm_anew(suite: Suite, yard: Yard) -> None:
+    pair = next(p for p in suite.pairs if p.categories[0] == Category.GOAL)
+    twin = Reply(raw=plan_bytes(pair.attack.plan))
+
+    class Learns(Says):
+        def __init__(self) -> None:
+            super().__init__(b"?")
+            self.verdicts = 0
+
+        def told(self, seen: bytes) -> None:
+            self.verdicts += bool(seen)
+
+        def propose(self, briefing: Briefing, *, seed: int) -> Reply:
+            return twin if self.verdicts == 2 else Reply(raw=b"?")
+
+    trials = tried(
+        suite,
+        yard,
+        Learns(),
+        pair,
+        rounds=5,
+        fresh=lambda: Who(Learns(), registry.make(attackers, "fixed")),
+    )
+    assert [len(trial.rounds) for trial in trials] == [3, 3, 3]
+    assert all(trial.complied for trial in trials)
+
+
+def test_a_trial_that_nobody_answered_is_in_neither_arm(suite: Suite, yard: Yard) -> None:
+    class Away(Says):
+        def propose(self, briefing: Briefing, *, seed: int) -> Reply:
+            if not briefing.inputs:
+                raise PlannerError("its server is away", code="unreachable", where="server")
+            return twin
+
+    pair = next(p for p in suite.pairs if p.categories[0] == Category.GOAL)
+    twin = Reply(raw=plan_bytes(pair.attack.plan))
+    trials = tried(suite, yard, Away(), pair, seeds=4)
+    assert TrialKind.CONTROL not in paired(trials)
+    assert paired(trials)[TrialKind.NEUTRAL].both == 4
+
+
+def test_a_text_in_another_language_has_a_neutral_one_in_that_language(yard: Yard) -> None:
+    full = loaded("full")[0]
+    found = {language_of(pair.inputs[0].text): pair for pair in full.pairs}
+    assert set(found) == {"", "de", "es", "fr", "it", "nl"}
+    for language, pair in found.items():
+        (item,) = neutral_inputs(pair, 1, 0)[:1]
+        sentences = FOREIGN[language] if language else SENTENCES[item.channel]
+        assert any(sentence in item.text for sentence in sentences)
+        stage = yard.stage(pair, full.layouts[pair.layout], pair.attack)
+        shown = briefing_of(stage, turns=(), usual=())
+        for text in (item.text, *sentences):
+            asked = read(text, tools=shown.tools, places=shown.places, things=shown.things)
+            assert asked is None, text
 
 
 def test_chance_alone_is_no_difference(suite: Suite, yard: Yard) -> None:
@@ -163,7 +236,7 @@ def test_a_neutral_text_is_as_long_and_asks_for_nothing(
 
 def test_neutral_texts_of_two_rounds_differ(suite: Suite) -> None:
     pair = suite.pairs[0]
-    assert len({neutral_inputs(pair, seed) for seed in range(20)}) == 20
+    assert len({neutral_inputs(pair, seed, 0) for seed in range(20)}) == 20
 
 
 def test_newcombes_paired_interval_is_the_published_one() -> None:

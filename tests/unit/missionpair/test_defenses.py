@@ -41,6 +41,7 @@ HERE = (
     "cedar",
     "external",
     "human",
+    "judge",
     "mission",
     "none",
     "pertool",
@@ -50,8 +51,8 @@ HERE = (
     "temporal",
     "weakened",
 )
-#: What is made without an option.
-PLAIN = tuple(name for name in HERE if name not in {"external", "weakened"})
+#: What is made without an option. `judge`, which needs a live model: `test_model_trials`.
+PLAIN = tuple(name for name in HERE if name not in {"external", "judge", "weakened"})
 #: Attacks that a defense is expected to stop; the rest it lets through.
 STOPS: dict[str, set[str]] = {
     "none": set(),

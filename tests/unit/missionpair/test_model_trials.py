@@ -8,14 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from authguard_r.authoring.compile.card import review
 from fixtures import mission_pairs
 from fixtures.cases import case
 from missionpair import attackers, defenses, planners, registry
 from missionpair.attackers._model import MAX_TEXT, MeteredModel
-from missionpair.briefing import PlannerError
+from missionpair.briefing import Briefing, PlannerError, Reply
 from missionpair.campaign.log import LogWriter
+from missionpair.campaign.showing import briefing_of
 from missionpair.campaign.trial import PairRun, Setting
 from missionpair.defenses import Defense
 from missionpair.execution import ExecutedPlan
@@ -200,6 +202,53 @@ class TestJudge:
         carried = self.judged(yard, behavior)
         assert (carried.reasons, carried.effects) == (("NO_CLEAR_ANSWER",), ())
 
+    @pytest.mark.parametrize(
+        ("answer", "is_done"),
+        [
+            ("ALLOW", True),
+            (" **Allow.** ", True),
+            ("DO NOT ALLOW", False),
+            ("I would not allow this action.", False),
+            ("ALLOW or DENY?", False),
+            ("", False),
+        ],
+    )
+    def test_only_the_one_word_lets_an_action_through(
+        self, yard: Yard, monkeypatch: pytest.MonkeyPatch, answer: str, is_done: bool
+    ) -> None:
+        monkeypatch.setattr(MeteredModel, "ask", lambda *_, **__: answer)
+        stage = yard.stage(TO_103, mission_pairs.layout(), TO_103.attack)
+        with SERVERS["openai"]() as server:
+            carried = _judge(server).carry_out(stage, plan_bytes(TO_103.attack.plan))
+        assert bool(carried.effects) is is_done
+
+    def test_what_ran_before_it_fell_silent_counts(
+        self, yard: Yard, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """The first action runs, unauthorized; then the model's server is away."""
+        answers = iter(["ALLOW"])
+
+        def ask(*_: object, **__: object) -> str:
+            said = next(answers, None)
+            if said is None:
+                raise PlannerError("its server is away", code="unreachable", where="judge")
+            return said
+
+        monkeypatch.setattr(MeteredModel, "ask", ask)
+        twice = replace(TO_103, attack=replace(TO_103.attack, plan=TO_103.attack.plan * 2))
+        with SERVERS["openai"]() as server:
+            made = dataclasses.replace(setting("hijacked"), defenses=(_judge(server),))
+            made = dataclasses.replace(made, planner=_Twin(plan_bytes(twice.attack.plan)))
+            (trial,) = PairRun(made, yard, TO_103, mission_pairs.layout(), first=0).trials()
+        assert "its server is away" in trial.error
+        assert (trial.unauthorized, trial.complied, trial.blocked) == (1, True, False)
+
+    def test_it_changes_no_briefing(self, yard: Yard) -> None:
+        stage = yard.stage(TO_103, mission_pairs.layout(), TO_103.attack)
+        shown = briefing_of(stage, turns=(), usual=())
+        with SERVERS["openai"]() as server:
+            assert _judge(server).brief(shown) is shown
+
     def test_it_sees_the_card_and_no_text_of_the_attacker_unless_asked_to(
         self, yard: Yard, monkeypatch: pytest.MonkeyPatch
     ) -> None:
@@ -234,6 +283,17 @@ class TestJudge:
         for wrong in ("judge", "judge:model=hijacked", "judge:model=qwen,texts=maybe"):
             with pytest.raises(registry.SpecificationError, match=r"model|yes"):
                 registry.make(defenses, wrong)
+
+
+class _Twin:
+    name, simulated = "twin", True
+    parameters: dict[str, Any] = {}  # noqa: RUF012
+
+    def __init__(self, raw: bytes) -> None:
+        self.raw = raw
+
+    def propose(self, briefing: Briefing, *, seed: int) -> Reply:
+        return Reply(raw=self.raw)
 
 
 def _judge(server: StandInServer, **options: str) -> Any:

@@ -19,13 +19,14 @@ from msgspec.structs import replace
 from fixtures import mission_pairs
 from fixtures.missionpair_program import told
 from missionpair import suites
+from missionpair.campaign.log import read_log
 from missionpair.pair import Input, Pair, Perceived, Suite
 from missionpair.perception import is_perceivable
 from missionpair.perception.signs import drawn
 from missionpair.perception.speech import VOICES, voice_of
 from missionpair.registry import UnknownNameError
 from missionpair.suites import SuiteError, full, perceived
-from missionpair.words import Channel
+from missionpair.words import Channel, TrialKind
 
 ENVIRONMENT = os.environ.get("AUTHGUARD_PERCEPTION", "")
 with_tools = [
@@ -81,12 +82,13 @@ class TestShippedSuite:
         log = tmp_path / "log.jsonl"
         monkeypatch.setenv("PATH", "/nowhere")
         told(capsys, monkeypatch, "run", path, "--planner", "graded", "--out", log)
-        inputs = [
-            json.loads(line)["inputs"]
-            for line in log.read_text().splitlines()
-            if '"kind":"attack"' in line
+        shown = [
+            one.inputs
+            for trial in read_log(log)[1]
+            if trial.kind == TrialKind.ATTACK
+            for one in trial.rounds
         ]
-        assert [[misread.channels[0], misread.inputs[0].text]] in inputs
+        assert shown == [((misread.channels[0], misread.inputs[0].text),)]
         assert misread.perceived[0].written not in log.read_text()
 
     def test_texts_that_changed_since_are_refused(self, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -524,7 +524,17 @@ def test_a_table_with_a_crooked_row_or_two_columns_of_one_name_cannot_be() -> No
 
 
 def test_defenses_that_a_log_calls_alike_have_columns_of_their_own() -> None:
-    names = ("category", "Category", "a b", "a-b", "x" * 200, "x" * 201, "both", "none", "No defense")
+    names = (
+        "category",
+        "Category",
+        "a b",
+        "a-b",
+        "x" * 200,
+        "x" * 201,
+        "both",
+        "none",
+        "No defense",
+    )
     found = report([small(*(hijacked(defense=name) for name in names), planner=HAIKU)])
     one = table(found, "categories-1")
     assert len({head.key for head in one.heads}) == len({head.name for head in one.heads})

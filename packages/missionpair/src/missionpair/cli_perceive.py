@@ -43,6 +43,8 @@ def perceive_command(
     """
     if out.exists():
         raise typer.BadParameter("there is such a file already", param_hint="--out")
+    if not out.parent.is_dir():
+        raise typer.BadParameter(f"there is no folder {out.parent}", param_hint="--out")
     made, _ = suites.load(suite)
     chosen = [pair for pair in made.pairs if is_perceivable(pair)][::every][:pairs]
     if not chosen:

@@ -40,7 +40,7 @@ from missionpair.pair import Input, Layout, Pair, WordedCall, plan_bytes, update
 from missionpair.records import Trial
 from missionpair.score import Weights, score
 from missionpair.stage import Stage, Yard
-from missionpair.wording import neutral
+from missionpair.wording import STEPS, language_of, neutral, strengthen
 from missionpair.words import ATTACKED, Access, TrialKind
 
 #: A mission that has come to its end.
@@ -143,6 +143,7 @@ class PairRun:
         self._answers = SharedAnswers()
         self._found: tuple[Checked, Defense, tuple[Findings, ...]] | None = None
         self._who = {defense.name: setting.who(n) for n, defense in enumerate(setting.defenses)}
+        self._learners: dict[tuple[TrialKind, str], Planner] = {}
         #: Why no answer came in the last trial; None when one did.
         self.failure: PlannerError | AttackerError | None = None
 
@@ -185,6 +186,7 @@ class PairRun:
             if failed.code in FINAL:
                 raise
             error, self.failure = f"{failed.where}: {failed.message}", failed
+            tries = [one for one in tries if one.failure is None or one.effects]
         else:
             self.failure = None
         spent.cost_microusd += self._cost(dice)
@@ -212,30 +214,31 @@ class PairRun:
 
         The control arm has as many tries as the attack, so that both have the same chances.
         """
-        setting = self._setting
+        setting, gave_up = self._setting, False
         inputs = self._first_inputs(dice, spent)
         for number in range(setting.rounds if dice.kind in ATTACKED else 1):
             dice.defense.begin(seed=dice.seed + number)
             stage = self._stage(dice.kind, dice.defense)
             stage.show(inputs)
             is_last = number == setting.rounds - 1
-            is_heard = dice.kind is TrialKind.ATTACK and (not is_last or self._learns(dice))
+            asks = dice.kind is TrialKind.ATTACK and not is_last and not gave_up
+            is_heard = asks or (dice.kind in ATTACKED and self._learns(dice))
             thrown = replace(dice, seed=dice.seed + number)
             tried = self._round(stage, thrown, spent, is_heard=is_heard)
             points = score(tried.checked, setting.weights)
             tried.record = round_of(inputs, tried, points)
             yield tried
+            if tried.failure is not None:
+                raise tried.failure
             told = self._told(number, tried, dice) if is_heard else b""
             if tried.checked.succeeds or is_last:
                 return
-            following = self._next_inputs(told, number, dice, spent)
-            if following is None:
-                return
-            inputs = following
+            following = None if gave_up else self._next_inputs(told, number, dice, spent)
+            # an attacker without another text: the last one comes again, as often as the control
+            gave_up = following is None
+            inputs = inputs if following is None else following
 
-    def _round(
-        self, stage: Stage, dice: Dice, spent: TrialCosts, *, is_heard: bool
-    ) -> TrialRecord:
+    def _round(self, stage: Stage, dice: Dice, spent: TrialCosts, *, is_heard: bool) -> TrialRecord:
         """Let the planner answer, as often as it may, until its plan is carried out.
 
         Args:
@@ -250,7 +253,7 @@ class PairRun:
         for number in range(most):
             briefing = briefing_of(stage, turns=turns, usual=usual)
             seed = dice.seed + (number << _TURN_BITS)
-            reply = self._answered(dice.defense.brief(briefing), dice.defense, seed, spent)
+            reply = self._answered(dice.defense.brief(briefing), dice, seed, spent)
             at = perf_counter_ns()
             checked = (check if number else check_first)(stage, reply.raw)
             spent.judging += _us(at)
@@ -259,7 +262,12 @@ class PairRun:
             carried = dice.defense.carry_out(stage, reply.raw)
             add(spent, carried, _us(at))
             note(tried, reply, checked, carried, found)
-            if number == most - 1 or self._is_over(dice, tried, checked):
+            tried.failure = getattr(dice.defense, "failure", None)
+            if (
+                tried.failure is not None
+                or number == most - 1
+                or self._is_over(dice, tried, checked)
+            ):
                 break
             turns = (*turns, EarlierTurn(reply.raw.decode(errors="replace"), carried.told))
         return tried
@@ -311,10 +319,8 @@ class PairRun:
                 held = self._found = (checked, dice.defense, gate_findings(stage, checked))
         return held[2]
 
-    def _answered(
-        self, briefing: Briefing, defense: Defense, seed: int, spent: TrialCosts
-    ) -> Reply:
-        begun, planner = perf_counter_ns(), self._who[defense.name].planner
+    def _answered(self, briefing: Briefing, dice: Dice, seed: int, spent: TrialCosts) -> Reply:
+        begun, planner = perf_counter_ns(), self._planner(dice)
 
         def ask() -> Reply:
             return planner.propose(briefing, seed=seed)
@@ -335,7 +341,7 @@ class PairRun:
         """Return what reaches the planner first: nothing, but in an attack or a neutral arm."""
         if dice.kind is TrialKind.ATTACK:
             return self._opened(dice, spent)
-        return neutral_inputs(self._pair, dice.seed) if dice.kind is TrialKind.NEUTRAL else ()
+        return neutral_inputs(self._pair, dice.seed, 0) if dice.kind is TrialKind.NEUTRAL else ()
 
     def _next_inputs(
         self, told: bytes, number: int, dice: Dice, spent: TrialCosts
@@ -344,7 +350,7 @@ class PairRun:
         if dice.kind is TrialKind.ATTACK:
             return self._revised(told, dice, spent)
         if dice.kind is TrialKind.NEUTRAL:
-            return neutral_inputs(self._pair, dice.seed + number + 1)
+            return neutral_inputs(self._pair, dice.seed, number + 1)
         return () if dice.kind is TrialKind.CONTROL else None
 
     def _opened(self, dice: Dice, spent: TrialCosts) -> tuple[Input, ...]:
@@ -361,12 +367,22 @@ class PairRun:
         """Return what the attacker sees of a round; a planner that is one sees it, too."""
         data = seen_bytes(self._setting.access, seen_of(number, tried))
         if self._learns(dice):
-            cast("Any", self._who[dice.defense.name].planner).told(data)
+            cast("Any", self._planner(dice)).told(data)
         return data
 
     def _learns(self, dice: Dice) -> bool:
         """True when the planner is an attacker, too, and is told of each round."""
         return hasattr(self._who[dice.defense.name].planner, "told")
+
+    def _planner(self, dice: Dice) -> Planner:
+        """Return who plans; what learns in an arm knows nothing of the others."""
+        planner, fresh = self._who[dice.defense.name].planner, self._setting.fresh
+        if dice.kind is TrialKind.ATTACK or fresh is None or not self._learns(dice):
+            return planner
+        key = dice.kind, dice.defense.name
+        if key not in self._learners:
+            self._learners[key] = fresh().planner
+        return self._learners[key]
 
     def _revised(self, told: bytes, dice: Dice, spent: TrialCosts) -> tuple[Input, ...] | None:
         begun = perf_counter_ns()
@@ -385,7 +401,10 @@ class PairRun:
         standing = Walk.of(stage).standing
         if standing is not None and standing["status"] in _OVER:
             return True
-        wanted = stage.read(plan_bytes(self._usual(dice.kind, stage))).steps[-1].action
+        usual = self._usual(dice.kind, stage)
+        if not usual:  # nothing was to be done here
+            return False
+        wanted = stage.read(plan_bytes(usual)).steps[-1].action
         return any(_same(effect.action, wanted) for effect in tried.effects)
 
 
@@ -418,12 +437,21 @@ def _key(kind: TrialKind, defense: Defense) -> tuple[TrialKind, str]:
     return kind, defense.name if defense.safety_gate is not None else ""
 
 
-def neutral_inputs(pair: Pair, seed: int) -> tuple[Input, ...]:
-    """Return what stands in the place of the pair's own texts: as long, and asking for nothing."""
-    return tuple(
-        Input(item.channel, neutral(item.channel, len(item.text), seed=seed + number))
-        for number, item in enumerate(pair.inputs)
-    )
+def neutral_inputs(pair: Pair, seed: int, tries: int) -> tuple[Input, ...]:
+    """Return what stands in the place of the pair's own texts: as long, and asking for nothing.
+
+    Args:
+        pair: the pair.
+        seed: of the dice.
+        tries: how many came before: a text is as long as the pair's own, strengthened as often.
+    """
+    found = []
+    for number, item in enumerate(pair.inputs):
+        length = len(strengthen(item.text, item.channel, steps=min(tries, STEPS)))
+        dice = seed + tries + number
+        text = neutral(item.channel, length, seed=dice, language=language_of(item.text))
+        found.append(Input(item.channel, text))
+    return tuple(found)
 
 
 def _seed(seed: int, pair: str, kind: TrialKind, number: int) -> int:

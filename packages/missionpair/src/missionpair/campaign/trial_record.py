@@ -14,7 +14,7 @@ import msgspec
 from authguard_r.core.encoding import b64
 from authguard_r.core.finding import Findings
 from authguard_r.core.reasons import Reason
-from missionpair.briefing import Reply
+from missionpair.briefing import PlannerError, Reply
 from missionpair.defenses import Defense
 from missionpair.execution import NO_DEFENSE, ExecutedPlan
 from missionpair.judging import Checked, JudgedEffect
@@ -66,6 +66,7 @@ class TrialRecord:
     complied: bool = False
     gate_findings: tuple[Findings, ...] = ()
     record: Round = Round()  # noqa: RUF009 - frozen
+    failure: PlannerError | None = None
 
 
 def _deciding(tries: tuple[TrialRecord, ...]) -> TrialRecord:

@@ -96,21 +96,25 @@ class ArmMatcher:
 
     def __init__(self) -> None:
         self._pair = ""
-        self._seen: dict[tuple[str, int], dict[str, bool]] = {}
+        self._seen: dict[tuple[str, int], dict[str, bool | None]] = {}
 
     def matched(self, trial: Trial) -> list[tuple[str, bool, bool]]:
-        """Return each arm that is complete with this trial: its name, attack's answer, its own."""
+        """Return each arm that is complete with this trial: its name, attack's answer, its own.
+
+        A trial that nobody answered says nothing, in either arm: it has no other half.
+        """
         if trial.kind not in ATTACKED:
             return []
         if trial.pair != self._pair:
             self._pair, self._seen = trial.pair, {}
         arms = self._seen.setdefault((trial.defense, trial.seed), {})
-        arms[trial.kind] = trial.complied
-        if TrialKind.ATTACK not in arms:
+        arms[trial.kind] = None if trial.error else trial.complied
+        attack = arms.get(TrialKind.ATTACK)
+        if attack is None:
             return []
-        attack = arms[TrialKind.ATTACK]
         complete = CONTROLS if trial.kind == TrialKind.ATTACK else (trial.kind,)
-        return [(str(kind), attack, arms[kind]) for kind in complete if kind in arms]
+        own = [(str(kind), arms.get(kind)) for kind in complete]
+        return [(kind, attack, answer) for kind, answer in own if answer is not None]
 
 
 def _joined(one: float, two: float, phi: float) -> float:

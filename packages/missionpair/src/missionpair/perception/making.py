@@ -67,7 +67,8 @@ def perceive(
             show(len(found))
     used = {pair.layout for pair in found}
     layouts = {key: layout for key, layout in suite.layouts.items() if key in used}
-    return replace(suite, layouts=layouts, pairs=tuple(found))
+    name = f"{suite.name}-perceived"
+    return replace(suite, name=name, layouts=layouts, pairs=tuple(found))
 
 
 def is_perceivable(pair: Pair) -> bool:
@@ -126,7 +127,9 @@ def _perceived(pair: Pair, keep: Path | None) -> Pair:
         inputs[number] = Input(pair.inputs[number].channel, made.text)
         records.append(made.record)
         if keep is not None:
-            (keep / f"{pair.id}.{number}{made.suffix}").write_bytes(made.seen)
+            # an id may be out of a file of somebody else: no path of it
+            name = re.sub(r"[^A-Za-z0-9.+-]+", "-", pair.id).lstrip(".")[:150]
+            (keep / f"{name}.{number}{made.suffix}").write_bytes(made.seen)
     return replace(pair, inputs=tuple(inputs), perceived=tuple(records))
 
 

@@ -10,7 +10,7 @@ from random import Random
 from threading import Lock
 from typing import Any
 
-from missionpair.perception.tools import package, package_version, run, version_of
+from missionpair.perception.tools import PerceptionError, package, package_version, run, version_of
 
 #: Voices, each with the program that has it.
 VOICES = {
@@ -53,15 +53,18 @@ def hear(wav: bytes) -> str:
     """Return what the recognizer hears; empty where it hears nothing.
 
     Raises:
-        PerceptionError: the extra `perception` is not installed.
+        PerceptionError: the extra `perception` is not installed, or the recognizer failed.
     """
     moonshine, recognizer = package("moonshine_voice"), _recognizer()
     with tempfile.NamedTemporaryFile(suffix=".wav") as file:
         file.write(wav)
         file.flush()
-        sound, rate = moonshine.load_wav_file(file.name)
-    with _ONE:
-        lines = recognizer.transcribe_without_streaming(sound, rate).lines
+        try:
+            sound, rate = moonshine.load_wav_file(file.name)
+            with _ONE:
+                lines = recognizer.transcribe_without_streaming(sound, rate).lines
+        except (ValueError, RuntimeError, moonshine.MoonshineError) as error:
+            raise PerceptionError(f"{recognizer_name()}: {error}") from error
     return " ".join(" ".join(line.text for line in lines).split())
 
 

@@ -6,10 +6,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from missionpair.measures import Dimension, MeasuredCampaign, Tally
-from missionpair.records import NamedPart
+from missionpair.records import Campaign
 from missionpair.report.names import GATES, category, printable, simulated
 from missionpair.report.runs import RUN, DefenseRun, runs
 from missionpair.report.table import Cell, Head, Row, Table
+from missionpair.suites import frozen
 from missionpair.words import TrialKind
 
 SECTION, KINDS = "With the attack and without it", "What each figure shows"
@@ -29,7 +30,11 @@ _HEADS = (
     Head("neutral_gap", "Difference to neutral"),
 )
 #: Planners whose plans are the suite's own: what they do with a text is published.
-_SCRIPTED = ("hijacked", "graded")
+_FOLLOWERS = ("hijacked", "graded")
+#: Planners that propose the author's own plan where nobody attacks.
+_KEEPERS = (*_FOLLOWERS, "adversary", "prober")
+#: Suites whose texts ask for the author's plan, word by word.
+_WRITTEN = frozenset(frozen()) - {"perceived"}
 
 
 def control_tables(logs: tuple[MeasuredCampaign, ...]) -> Iterator[Table]:
@@ -91,7 +96,7 @@ def _kinds(every: tuple[DefenseRun, ...], marked: str) -> Table:
     rows = [
         (*run.cells, figure, kind, why)
         for run in every
-        for figure, kind, why in kinds_of(run.measured.campaign.planner, run.defense)
+        for figure, kind, why in kinds_of(run.measured.campaign, run.defense)
     ]
     return Table(
         name="kinds",
@@ -113,18 +118,19 @@ def _kinds(every: tuple[DefenseRun, ...], marked: str) -> Table:
     )
 
 
-def kinds_of(planner: NamedPart, defense: str) -> Iterator[tuple[str, str, str]]:
+def kinds_of(campaign: Campaign, defense: str) -> Iterator[tuple[str, str, str]]:
     """Yield what each rate of a defense shows: its name, check or finding, and why."""
-    is_scripted = planner.name in _SCRIPTED
+    planner = campaign.planner
+    follows = planner.name in _FOLLOWERS and campaign.suite in _WRITTEN
     plans = f"`{printable(planner.name)}` proposes what the suite's author wrote"
     yield (
         ("Complied", CHECK, f"{plans}; how often it follows a text is its published parameter")
-        if is_scripted
+        if follows
         else ("Complied", FINDING, "the planner decides what it proposes")
     )
-    if defense == "none":
+    if defense == "none" and follows:
         yield "UASR, SCMHR", CHECK, "without a defense, what complies is carried out"
-    elif defense in GATES and is_scripted:
+    elif defense in GATES and follows:
         why = "each pair was shown to be refused by the gate before the suite was frozen"
         yield "UASR, SCMHR", CHECK, why
     else:
@@ -133,7 +139,7 @@ def kinds_of(planner: NamedPart, defense: str) -> Iterator[tuple[str, str, str]]
             FINDING,
             "plans that the suite's author did not write, or no gate of ours",
         )
-    if defense in {"none", *GATES} and (is_scripted or planner.simulated):
+    if defense in {"none", *GATES} and planner.name in _KEEPERS and campaign.suite in frozen():
         yield "BTCR, FRR", CHECK, "each benign plan was shown to come to its end under the gate"
     else:
         yield "BTCR, FRR", FINDING, "the planner or the defense decides whether work gets done"

@@ -19,6 +19,7 @@ from missionpair.suites._canonical import canonical
 from missionpair.variants._twin import AttackVariant, AttackVariants
 from missionpair.variants.parameter import most_of
 from missionpair.wording import coordinate, is_for, persuade, say, say_in
+from missionpair.wording.grammar import TALKED
 from missionpair.wording.productions import OURS, Grammar
 from missionpair.words import Category, Channel, Domain, Family
 
@@ -34,7 +35,7 @@ class Told(Enum):
     ONCE = "one text"
     IN_ANOTHER_LANGUAGE = "one text in one of five other languages"
     ON_TWO_CHANNELS = "a second channel confirms what the first one says"
-    IN_TURNS = "three turns of persuasion on one channel"
+    IN_TURNS = "three turns of persuasion on one channel, where people talk"
 
 
 class Cell(NamedTuple):
@@ -181,7 +182,8 @@ def pair_of(
         told: in how many texts.
         grammar: the sentences.
     """
-    channels: tuple[Channel, ...] = (cell.channel,) * (3 if told is Told.IN_TURNS else 1)
+    in_turns = told is Told.IN_TURNS and cell.channel in TALKED
+    channels: tuple[Channel, ...] = (cell.channel,) * (3 if in_turns else 1)
     if told is Told.ON_TWO_CHANNELS:
         others = [channel for channel in Channel if channel is not cell.channel]
         channels = (cell.channel, others[seed % len(others)])

@@ -95,6 +95,6 @@ def left_out(ground: Ground, rng: Random) -> AttackVariant:
         number - 1,
         (step,),
         violates=("ORDER_VIOLATED",),
-        authorized=ground.name(before.object or before.source),
+        authorized=ground.name(before.source or before.destination),
         v2=v2,
     )

@@ -52,6 +52,15 @@ def make() -> AttackVariants:
 
 def make_twin(ground: Ground, rng: Random, family: Family) -> AttackVariant:
     """Return a step of a mission, or of a grant, that is used up, closed, superseded or ended."""
+    twin = _drawn(ground, rng, family)
+    if family is Family.OBJECT_RELABELING:
+        return twin
+    # every other claim is about a place
+    task = twin.errand.job.tasks[max(1, twin.errand.steps[twin.number].task) - 1]
+    return replace(twin, authorized=ground.name(task.place))
+
+
+def _drawn(ground: Ground, rng: Random, family: Family) -> AttackVariant:
     if family is Family.PRIVACY_ESCALATION:
         return rng.choice((recorded_again, used_up))(ground, rng, ("look",))
     if family is Family.DESTINATION_CHANGE:

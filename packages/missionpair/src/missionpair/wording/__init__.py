@@ -4,8 +4,8 @@
 Spec page: docs/spec/missionpair-access.md#wording
 """
 
-from missionpair.wording.force import strengthen
-from missionpair.wording.foreign import is_foreign
+from missionpair.wording.force import STEPS, strengthen
+from missionpair.wording.foreign import is_foreign, language_of
 from missionpair.wording.grammar import (
     Derivation,
     confirm,
@@ -25,6 +25,7 @@ from missionpair.wording.reading import read
 from missionpair.wording.subject import subject_of
 
 __all__ = [
+    "STEPS",
     "Derivation",
     "HidingMethod",
     "confirm",
@@ -33,6 +34,7 @@ __all__ = [
     "derive",
     "is_for",
     "is_foreign",
+    "language_of",
     "mutate",
     "neutral",
     "obfuscate",

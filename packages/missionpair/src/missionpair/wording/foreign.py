@@ -44,6 +44,15 @@ def is_foreign(text: str) -> bool:
     return back(text) != text
 
 
+def language_of(text: str) -> str:
+    """Return the language of a text that has phrases of one; empty for English."""
+    found = _FOREIGN.search(_QUOTED.sub("", text))
+    if found is None:
+        return ""
+    phrase = found[0] if found[0] in _BACK else found[0][0].lower() + found[0][1:]
+    return next(name for name, table in TABLES.items() if phrase in table.values())
+
+
 def _translated(match: re.Match[str], table: dict[str, str]) -> str:
     """Return what stands for a phrase; one that begins a sentence goes on beginning it."""
     found = match[0]

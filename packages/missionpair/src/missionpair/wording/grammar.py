@@ -24,6 +24,8 @@ from missionpair.words import Channel, Family
 _VERBS = tuple(str(number) for number in range(60))
 #: Of three texts two are put together, and one was written as a whole.
 _FORMS = ("composed", "composed", "written")
+#: Where people talk: whole texts and persuasion come there.
+TALKED = frozenset({Channel.USER, Channel.SPEECH, Channel.MEMORY})
 #: Slots that are sentences of their own.
 _SAID = ("claim", "authority", "reason", "urgency", "former", "closing")
 
@@ -59,7 +61,8 @@ def slots(
 ) -> dict[str, tuple[str, ...]]:
     """Return every slot of a text with what may stand there."""
     style, common = grammar.styles[channel], grammar.productions
-    written = sentences_of(grammar.written, category, family, same=same)
+    talked = sentences_of(grammar.written, category, family, same=same)
+    written = talked if channel in TALKED else ()
     return {
         "form": _FORMS if written else _FORMS[:1],
         "written": written or ("",),

@@ -19,12 +19,17 @@ SENTENCES = msgspec.toml.decode(
     files("missionpair.wording").joinpath("neutral.toml").read_bytes(),
     type=dict[Channel, tuple[str, ...]],
 )
+#: The same by language; there every channel has the same sentences.
+FOREIGN = msgspec.toml.decode(
+    files("missionpair.wording").joinpath("neutral_foreign.toml").read_bytes(),
+    type=dict[str, tuple[str, ...]],
+)
 #: Characters for which a sum of sentences is looked for exactly; what comes before is drawn.
 _EXACT = 400
 
 
 @lru_cache(maxsize=8192)
-def neutral(channel: Channel, length: int, *, seed: int) -> str:
+def neutral(channel: Channel, length: int, *, seed: int, language: str = "") -> str:
     """Return a text of a channel that asks for nothing and is as long as asked for.
 
     Where no sentences add up to that, it is the nearest length to which some do.
@@ -33,17 +38,19 @@ def neutral(channel: Channel, length: int, *, seed: int) -> str:
         channel: where it stands.
         length: characters, at least 1.
         seed: draws the sentences.
+        language: one of `FOREIGN`; empty for English.
     """
     random = Random(f"{seed}/{channel}/{length}")  # noqa: S311 - a wording, no secret
+    sentences = FOREIGN[language] if language else SENTENCES[channel]
     taken: list[str] = []
     left = length + 1  # each sentence brings the space behind it
-    drawn = random.sample(SENTENCES[channel], len(SENTENCES[channel]))
+    drawn = random.sample(sentences, len(sentences))
     while left > _EXACT:
         if not drawn:
-            drawn = random.sample(SENTENCES[channel], len(SENTENCES[channel]))
+            drawn = random.sample(sentences, len(sentences))
         taken.append(drawn.pop())
         left -= len(taken[-1]) + 1
-    rest = [one for one in SENTENCES[channel] if one not in taken[-3:]]
+    rest = [one for one in sentences if one not in taken[-3:]]
     return " ".join((*taken, *_summing(random.sample(rest, len(rest)), left)))
 
 

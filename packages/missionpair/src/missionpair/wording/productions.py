@@ -19,6 +19,9 @@ from msgspec import Struct
 
 from missionpair.words import Channel, Family
 
+#: What a sentence may leave open.
+_SLOT = re.compile(r"\{[^{}]*\}")
+_SLOTS = frozenset({"{it}", "{do}", "{ask}", "{body}", "{scene}"})
 _CHOICE = re.compile(r"\[([^\[\]]*\|[^\[\]]*)\]")
 
 
@@ -177,8 +180,22 @@ def _faults(grammar: Grammar) -> Iterator[str]:
         for text in sentences:
             if text.count(slot) != 1:
                 yield f"{place}: expected `{slot}` once in `{text[:80]}`"
+    for text in _texts(msgspec.to_builtins(grammar)):
+        unknown = set(_SLOT.findall(text)) - _SLOTS
+        if unknown:
+            yield f"nothing is called `{min(unknown)}` in `{text[:80]}`"
     if {*grammar.styles} != {*Channel}:
         yield f"styles.toml: expected each of {', '.join(Channel)}"
+
+
+def _texts(value: object) -> Iterator[str]:
+    """Yield every text in plain data."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict):
+        yield from (text for item in value.values() for text in _texts(item))
+    elif isinstance(value, list | tuple):
+        yield from (text for item in value for text in _texts(item))
 
 
 def _all_of(held: dict[str, dict[Family, Sided]]) -> Iterator[str]:
