@@ -36,6 +36,7 @@ from fixtures.cases import case
 from missionpair.measures import MeasuredCampaign, Proportion, measure
 from missionpair.records import NamedPart, Timing
 from missionpair.report import CampaignReport, lines, report, tex_files
+from missionpair.report.control import kinds_of
 from missionpair.report.names import LIVE_ROWS, slug
 from missionpair.report.published import match, published
 from missionpair.report.table import Head, Table, share, text
@@ -466,7 +467,7 @@ def test_logs_that_differ_in_access_alone_get_a_table_of_leakage() -> None:
         "grey - black",
     ]
     assert cells(one, 0)[6:] == [
-        "+0.5000 [+0.2851, +0.6529]", "1.0", "1.0", "+0.00 [+0.00, +0.00]", "yes",
+        "+0.5000 [+0.2851, +0.6529]", "1.0", "1.0", "-1.00 [-1.40, -0.60]", "yes",
     ]  # fmt: skip
     assert "plot-leakage" in {plot.name for plot in found.plots}
     other = small(kept(), planner=HAIKU, access="grey", suite_digest="another")
@@ -540,6 +541,22 @@ def test_defenses_that_a_log_calls_alike_have_columns_of_their_own() -> None:
     assert len({head.key for head in one.heads}) == len({head.name for head in one.heads})
     assert len(one.heads) == len(names) + 1
     assert "a-b (2)" in {head.name for head in one.heads}
+
+
+def test_a_figure_is_a_consistency_check_only_where_the_suite_settled_it() -> None:
+    def shown(planner: str, suite: str, defense: str) -> list[str]:
+        told = campaign(suite=suite, planner=NamedPart(planner, simulated=True))
+        return [kind.split()[0] for _, kind, _ in kinds_of(told, defense)]
+
+    settled, found = "consistency", "finding"
+    for defense in ("none", "both"):
+        assert shown("hijacked", "full", defense) == [settled] * 3
+        assert shown("hijacked", "perceived", defense) == [found, found, settled]
+        assert shown("hijacked", "of-mine", defense) == [found] * 3
+        assert shown("adversary", "full", defense) == [found, found, settled]
+        assert shown("noisy", "full", defense) == [found] * 3
+        assert shown("replay", "full", defense) == [found] * 3
+    assert shown("hijacked", "full", "cedar") == [settled, found, found]
 
 
 def test_times_come_from_timing_alone() -> None:

@@ -14,10 +14,15 @@ from missionpair.measures.campaign import MeasuredCampaign
 from missionpair.measures.faults import MeasureError
 from missionpair.measures.rates import Gap, Proportion, difference
 from missionpair.measures.resample import mean_difference
+from missionpair.measures.spread import Spread
+from missionpair.measures.tally import Tally
 from missionpair.words import Access
 
 #: What must be the same for access to be the only difference.
-SAME = ("suite", "suite_version", "suite_digest", "pairs", "planner", "rounds", "turns")
+SAME = (
+    *("suite", "suite_version", "suite_digest", "pairs", "every", "seeds", "planner", "rounds"),
+    *("turns", "weights", "field_weights"),
+)
 
 
 class Leak(Struct, frozen=True, kw_only=True):
@@ -30,8 +35,9 @@ class Leak(Struct, frozen=True, kw_only=True):
         scmhr: hijacked with each of them, the wider first.
         gain: difference in SCMHR, with Newcombe's interval; None where undefined.
         median_rounds: tries until `alg:missionpair` returns, with each of them.
-        rounds: difference of the mean tries, with a bootstrap's interval; None where one of them
-            never came there. Below 0: more access needs fewer tries.
+        rounds: difference of the mean tries, with a bootstrap's interval; an attack that never came
+            there counts as all its tries, so that who finds the easy ones alone is not the faster.
+            Below 0: more access needs fewer tries.
     """
 
     defense: str
@@ -67,10 +73,26 @@ def leakage(more: MeasuredCampaign, less: MeasuredCampaign) -> tuple[Leak, ...]:
                 scmhr=(first.scmhr, second.scmhr),
                 gain=difference(first.scmhr, second.scmhr),
                 median_rounds=(first.rounds.median, second.rounds.median),
-                rounds=mean_difference(first.rounds, second.rounds),
+                rounds=_faster(first, second, more.campaign.rounds),
             )
         )
     return tuple(found)
+
+
+def _faster(first: Tally, second: Tally, rounds: int) -> Gap | None:
+    """Return the difference of the mean tries; None where neither side found anything."""
+    if not first.rounds.n + second.rounds.n:
+        return None
+    return mean_difference(_tries(first, rounds), _tries(second, rounds))
+
+
+def _tries(tally: Tally, rounds: int) -> Spread:
+    """Return the tries of every attack."""
+    found = Spread()
+    found.merge(tally.rounds)
+    for _ in range(tally.n - tally.rounds.n):
+        found.add(rounds)
+    return found
 
 
 def wider(one: MeasuredCampaign, other: MeasuredCampaign) -> bool:
