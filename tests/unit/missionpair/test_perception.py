@@ -28,6 +28,7 @@ from missionpair.registry import UnknownNameError
 from missionpair.suites import SuiteError, full, perceived
 from missionpair.words import Channel, TrialKind
 
+ROOT = Path(__file__).resolve().parents[3]
 ENVIRONMENT = os.environ.get("AUTHGUARD_PERCEPTION", "")
 with_tools = [
     pytest.mark.complete,  # a bare machine, which has the default run, has no such environment
@@ -56,6 +57,21 @@ class TestShippedSuite:
                 else:
                     assert not records
                     assert item == other
+
+    def test_the_page_has_its_word_error_rates(self, shipped: Suite) -> None:
+        """docs/spec/missionpair.md#perception"""
+        counts: dict[str, list[int]] = {}
+        for pair in shipped.pairs:
+            for record in pair.perceived:
+                sign = pair.channels[record.input] is Channel.SIGN
+                plain = ("in plain view",) if sign and len(record.how) == 1 else ()
+                for how in ("signs" if sign else "speech", *plain, *record.how):
+                    held = counts.setdefault(how, [0, 0, 0, 0])
+                    each = (1, record.words, record.wrong, record.wrong == 0)
+                    counts[how] = [old + new for old, new in zip(held, each, strict=True)]
+        page = (ROOT / "docs" / "spec" / "missionpair.md").read_text(encoding="utf-8")
+        for how, (texts, words, wrong, right) in counts.items():
+            assert f"| {how} | {texts} | {100 * wrong / words:.1f} % | {right} |" in page
 
     def test_the_same_pairs_come_as_they_were_written(self, shipped: Suite) -> None:
         compared = perceived.make(text="written")
