@@ -146,3 +146,32 @@ def inside(layout: Layout, pose: dict[str, Any]) -> set[str]:
         within = min(xs) <= pose["x_mm"] <= max(xs) and min(ys) <= pose["y_mm"] <= max(ys)
         found |= {str(name)} if is_here and within else set()
     return found
+
+
+def test_answers_whose_signatures_hold_are_those_of_the_people_who_answered(yard: Yard) -> None:
+    """Once each, for the question that is open; who only asked, or signed twice, adds nothing."""
+    full, tried = loaded("full:each=1")[0], 0
+    for pair in full.pairs:
+        people = [name for act in pair.attack.before if act.do == "approve" for name in act.by]
+        if not people:
+            continue
+        walk = Walk.of(yard.stage(pair, full.layouts[pair.layout], pair.attack))
+        assert walk.standing is not None
+        ((grant, request),) = walk.standing["requests"].items()
+        given = [(one["approver"]["id"], one["approval"]) for one in walk.approvals]
+        assert sorted(name for name, _ in given) == sorted(set(people)), pair.id
+        for name, answer in given:
+            assert name.startswith(f"{_role_of(walk, name)}-")
+            assert (answer["grant"], answer["verdict"]) == (grant, "approve")
+            assert {key: request[key] for key in ("counter", "scope", "situation")} == {
+                key: answer[key] for key in ("counter", "scope", "situation")
+            }
+        tried += 1
+        if tried == 12:
+            return
+    pytest.fail("too few pairs have an answer")
+
+
+def _role_of(walk: Walk, name: str) -> str:
+    found = next(one["approver"] for one in walk.approvals if one["approver"]["id"] == name)
+    return str(found["role"])
