@@ -22,9 +22,10 @@ from missionpair.attackers import AttackerError
 from missionpair.briefing import Briefing, PlannerError, Reply
 from missionpair.campaign import worker as workers
 from missionpair.campaign.ahead import Ahead, Tail, end, keep
+from missionpair.campaign.arms import rest_of
 from missionpair.campaign.log import LogError, LogWriter, read_log
 from missionpair.campaign.run import CampaignPlan, Progress, answered, run
-from missionpair.campaign.trial import FINAL, PairRun, Setting, rest_of
+from missionpair.campaign.trial import FINAL, PairRun, Setting
 from missionpair.campaign.worker import Ran
 from missionpair.defenses import DefenseError, _qualify
 from missionpair.execution import ExecutedPlan, past_the_gate

@@ -14,7 +14,8 @@ from msgspec.structs import replace
 from authguard_reference.reasons import FIELD_OF
 from fixtures.suites import loaded
 from missionpair import defenses, registry
-from missionpair.campaign.trial import PairRun, Who, rest_of
+from missionpair.campaign.arms import rest_of
+from missionpair.campaign.trial import PairRun, Who
 from missionpair.judging import check, check_first
 from missionpair.judging.asked import asked_changes, changed_as_asked
 from missionpair.judging.walk import Walk

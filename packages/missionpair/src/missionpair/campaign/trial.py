@@ -11,17 +11,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from hashlib import sha256
 from time import perf_counter_ns
 from typing import Any, NamedTuple, cast
 
-from authguard_r.core.action import Action
 from authguard_r.core.finding import Findings
 from authguard_r.core.reasons import Reason
 from missionpair.access import case_bytes, seen_bytes
 from missionpair.attackers import Attacker, AttackerError
 from missionpair.briefing import Briefing, EarlierTurn, Planner, PlannerError, Reply
 from missionpair.campaign.answers import SharedAnswers
+from missionpair.campaign.arms import is_asked, is_same_work, neutral_inputs, rest_of, seed_of
 from missionpair.campaign.gate_view import gate_findings
 from missionpair.campaign.showing import briefing_of, case_of, seen_of
 from missionpair.campaign.trial_record import (
@@ -40,7 +39,6 @@ from missionpair.pair import Input, Layout, Pair, WordedCall, plan_bytes, update
 from missionpair.records import Trial
 from missionpair.score import Weights, score
 from missionpair.stage import Stage, Yard
-from missionpair.wording import STEPS, language_of, neutral, strengthen
 from missionpair.words import ATTACKED, Access, TrialKind
 
 #: A mission that has come to its end.
@@ -157,7 +155,7 @@ class PairRun:
         self._require_fit()
         for kind in setting.kinds:
             for number in range(setting.seeds):
-                seed = _seed(setting.seed, self._pair.id, kind, number)
+                seed = seed_of(setting.seed, self._pair.id, kind, number)
                 self._answers.clear()
                 for defense in setting.defenses:
                     if self._n >= self._done:
@@ -405,59 +403,12 @@ class PairRun:
         if not usual:  # nothing was to be done here
             return False
         wanted = stage.read(plan_bytes(usual)).steps[-1].action
-        return any(_same(effect.action, wanted) for effect in tried.effects)
-
-
-def is_asked(thing: object) -> bool:
-    """True of a planner, an attacker or a defense that asks a model, or a stand-in for one."""
-    return hasattr(thing, "client") or hasattr(thing, "cost_microusd")
-
-
-def rest_of(stage: Stage) -> tuple[WordedCall, ...]:
-    """Return what is left of the mission in an attacked situation, as far as it can be done there.
-
-    The longest end of what the pair says is left, or else of the benign plan, that can be carried
-    out from here, every step authorized; empty when there is none.
-    """
-    plan = stage.pair.rest or stage.pair.benign.plan
-    for number in range(len(plan)):
-        checked = check(stage, plan_bytes(plan[number:]))
-        if checked.executable and checked.deviation == 0:
-            return plan[number:]
-    return ()
-
-
-def _same(one: Action, other: Action) -> bool:
-    """True when two actions do the same with the same thing at the same place."""
-    return (one.type, one.object, one.destination) == (other.type, other.object, other.destination)
+        return any(is_same_work(effect.action, wanted) for effect in tried.effects)
 
 
 def _key(kind: TrialKind, defense: Defense) -> tuple[TrialKind, str]:
     """Return which situation a trial needs: those with the product's own gates are the same."""
     return kind, defense.name if defense.safety_gate is not None else ""
-
-
-def neutral_inputs(pair: Pair, seed: int, tries: int) -> tuple[Input, ...]:
-    """Return what stands in the place of the pair's own texts: as long, and asking for nothing.
-
-    Args:
-        pair: the pair.
-        seed: of the dice.
-        tries: how many came before: a text is as long as the pair's own, strengthened as often.
-    """
-    found = []
-    for number, item in enumerate(pair.inputs):
-        length = len(strengthen(item.text, item.channel, steps=min(tries, STEPS)))
-        dice = seed + tries + number
-        text = neutral(item.channel, length, seed=dice, language=language_of(item.text))
-        found.append(Input(item.channel, text))
-    return tuple(found)
-
-
-def _seed(seed: int, pair: str, kind: TrialKind, number: int) -> int:
-    """Return the dice of one trial; every defense, and the control arm, gets the same."""
-    kind = TrialKind.ATTACK if kind in ATTACKED else kind
-    return int.from_bytes(sha256(f"{seed}|{pair}|{kind}|{number}".encode()).digest()[:6])
 
 
 def _us(since_ns: int) -> int:

@@ -11,8 +11,9 @@ from typing import Any, NamedTuple, cast
 from missionpair import attackers, defenses, planners, registry
 from missionpair.attackers import Attacker, AttackerError
 from missionpair.briefing import Briefing, Planner, PlannerError, Reply
+from missionpair.campaign.arms import is_asked
 from missionpair.campaign.plan import CampaignPlan
-from missionpair.campaign.trial import PairRun, Setting, Who, is_asked
+from missionpair.campaign.trial import PairRun, Setting, Who
 from missionpair.defenses import Defense, DefenseError
 from missionpair.pair import Suite
 from missionpair.records import Trial
