@@ -3,14 +3,13 @@
 
 from __future__ import annotations
 
+import sys
 import tempfile
-from functools import cache
 from pathlib import Path
 from random import Random
-from threading import Lock
-from typing import Any
 
-from missionpair.perception.tools import PerceptionError, package, package_version, run, version_of
+from missionpair.perception import hearing
+from missionpair.perception.tools import package, package_version, run, version_of
 
 #: Voices, each with the program that has it.
 VOICES = {
@@ -20,8 +19,6 @@ VOICES = {
     "rms": "flite",
     "slt": "flite",
 }
-#: The recognizer hears one sound at a time.
-_ONE = Lock()
 
 
 def voice_of(key: str) -> str:
@@ -55,17 +52,12 @@ def hear(wav: bytes) -> str:
     Raises:
         PerceptionError: the extra `perception` is not installed, or the recognizer failed.
     """
-    moonshine, recognizer = package("moonshine_voice"), _recognizer()
+    package("moonshine_voice")  # says what to install
     with tempfile.NamedTemporaryFile(suffix=".wav") as file:
         file.write(wav)
         file.flush()
-        try:
-            sound, rate = moonshine.load_wav_file(file.name)
-            with _ONE:
-                lines = recognizer.transcribe_without_streaming(sound, rate).lines
-        except (ValueError, RuntimeError, moonshine.MoonshineError) as error:
-            raise PerceptionError(f"{recognizer_name()}: {error}") from error
-    return " ".join(" ".join(line.text for line in lines).split())
+        heard = run(sys.executable, str(Path(hearing.__file__)), file.name)
+    return " ".join(heard.decode(errors="replace").split())
 
 
 def speaker(voice: str) -> str:
@@ -76,11 +68,3 @@ def speaker(voice: str) -> str:
 def recognizer_name() -> str:
     """Return the recognizer's name with its version."""
     return f"{package_version('moonshine-voice')} tiny-en"
-
-
-@cache
-def _recognizer() -> Any:
-    """Return the recognizer with the model that its package brings."""
-    moonshine = package("moonshine_voice")
-    model = Path(moonshine.__file__).parent / "assets" / "tiny-en"
-    return moonshine.Transcriber(model_path=str(model), model_arch=moonshine.ModelArch.TINY)
