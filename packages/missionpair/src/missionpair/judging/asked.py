@@ -21,7 +21,7 @@ from missionpair.stage import Stage, done_by
 
 
 class AskedChange(Struct, frozen=True, kw_only=True):
-    """One action of the twin that nobody authorized.
+    """One unauthorized action of the twin.
 
     Args:
         action: the action, where the twin has it.

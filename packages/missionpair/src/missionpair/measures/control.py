@@ -101,7 +101,7 @@ class ArmMatcher:
     def matched(self, trial: Trial) -> list[tuple[str, bool, bool]]:
         """Return each arm that is complete with this trial: its name, attack's answer, its own.
 
-        A trial that nobody answered says nothing, in either arm: it has no other half.
+        If nobody answered one of the two trials, both are left out.
         """
         if trial.kind not in ATTACKED:
             return []
