@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """A policy for each tool, in the manner of Progent: which values each argument may have.
 
-It is written from the mission's grants, and asks for each call whether its tool is allowed and
-whether every argument by itself is one that some grant of that tool has. It knows no rows (which
-thing goes where), no state, no order, no counts, no time and no choices. Spec page:
-docs/spec/defenses.md#pertool
+It is written from the mission's grants. It checks each call alone: a grant must allow the tool, and
+each argument must have a value that some grant of that tool allows. It does not check rows (which
+thing goes where), state, order, counts, time or choices.
+Spec page: docs/spec/defenses.md#pertool
 """
 
 from __future__ import annotations

@@ -19,14 +19,14 @@ from missionpair.pair import WordedCall, plan_bytes
 from missionpair.stage import Stage
 
 NAME = "roboguard"
-#: Tags of places that harm whoever goes there.
+#: Tags of places that a robot must not enter.
 HARMFUL = frozenset({"hazardous"})
 
 
 def make() -> Defense:
     """Return the rules."""
     claim = Claim(
-        text="stops what harms whoever is the mission's: a way into a hazardous place",
+        text="stops every way into a hazardous place, under any mission",
         proof=stops_harm,
     )
     return Temporal(name=NAME, claim=claim, rules_of=rules_of)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pairs that nobody else has: other draws, told in your own sentences; needs `words=FOLDER`.
+"""A private test split: pairs drawn with your seed, in your own sentences; needs `words=FOLDER`.
 
-A split that is held out: keep folder and seed to yourself. How-to: docs/howto/missionpair-extend.md
+Keep folder and seed secret. How-to: docs/howto/missionpair-extend.md
 """
 
 from __future__ import annotations
