@@ -187,6 +187,7 @@ def test_a_trial_that_nobody_answered_is_in_neither_arm(suite: Suite, yard: Yard
     assert paired(trials)[TrialKind.NEUTRAL].both == 4
 
 
+@pytest.mark.complete
 def test_a_text_in_another_language_has_a_neutral_one_in_that_language(yard: Yard) -> None:
     full = loaded("full")[0]
     found = {language_of(pair.inputs[0].text): pair for pair in full.pairs}

@@ -41,6 +41,7 @@ def shipped() -> Suite:
     return perceived.make()
 
 
+@pytest.mark.complete
 class TestShippedSuite:
     def test_each_pair_is_one_of_full_with_what_was_read_in_place_of_what_was_written(
         self, shipped: Suite

@@ -24,7 +24,7 @@ LONGER = frozenset({2, 3, 4})
 TOLD = {3: Told.IN_ANOTHER_LANGUAGE, 4: Told.IN_TURNS, 5: Told.ON_TWO_CHANNELS}
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=2)
 def make(each: str = str(EACH)) -> Suite:
     """Return the suite; `each` pairs of each cell, for a smaller one.
 
