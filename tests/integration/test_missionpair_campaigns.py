@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ import pytest
 
 from missionpair.campaign.log import read_log
 from missionpair.servers import SERVERS
+from missionpair.words import CONTROLS, TrialKind
 
 pytestmark = pytest.mark.complete
 
@@ -72,7 +74,7 @@ def test_a_campaign_that_is_killed_twice_is_the_same_in_the_end(tmp_path: Path) 
     assert done.returncode == 0, done.stderr
     assert under_links(cut) == under_links(whole)
     told = json.loads(done.stdout)
-    assert told["trials"] == 4 * 3 * 4
+    assert told["trials"] == 4 * 5 * 4  # an attack has two control trials
     assert told["defenses"]["both"]["unauthorized"] == 0
     assert told["defenses"]["none"]["unauthorized"] == told["defenses"]["safety"]["hijacked"] == 4
 
@@ -103,9 +105,10 @@ def test_both_models_tables_come_from_one_command(tmp_path: Path) -> None:
         campaign, trials = read_log(log)
         assert campaign.planner.simulated  # a script's results never pass for a model's
         found = list(trials)
-        assert len(found) == 12
+        of_kind = Counter(trial.kind for trial in found)
+        assert of_kind == dict.fromkeys((TrialKind.ATTACK, *CONTROLS), 12)
         assert not any(trial.error or trial.unauthorized for trial in found)
-        complied += sum(trial.complied for trial in found)
+        complied += sum(trial.complied for trial in found if trial.kind == TrialKind.ATTACK)
     assert complied >= 12
     assert "simulated" in done.stdout
     assert (out / "report.html").stat().st_size > 10_000

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import os
-import select
 import socket
 import subprocess
 import sys
@@ -28,7 +27,7 @@ from authguard_r.core.errors import (
 )
 from authguard_r.core.reasons import Reason
 from authguard_r.estop.files import EStopFiles, ask
-from authguard_r.estop.run_folder import SOCKET, is_served
+from authguard_r.estop.run_folder import SOCKET, is_readable, is_served
 from authguard_r.wire.faults import from_fault
 from authguard_r.wire.frames import Frame, FrameReader, frame, read_body
 from authguard_r.wire.gate_limits import LIMITS
@@ -84,7 +83,7 @@ def start_stop_process(files: EStopFiles) -> subprocess.Popen[bytes] | None:
 def _ready(process: subprocess.Popen[bytes]) -> subprocess.Popen[bytes]:
     """Return the process once its first line says that it serves."""
     with cast("IO[bytes]", process.stdout) as told:
-        line = told.readline() if select.select([told], [], [], LIMITS.stop_start_s)[0] else b""
+        line = told.readline() if is_readable(told.fileno(), LIMITS.stop_start_s) else b""
     try:
         said = msgspec.json.decode(line, type=dict[str, object])
     except msgspec.DecodeError:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import select
 import signal
 import socket
 import stat
@@ -121,6 +122,28 @@ def kill(pid: int) -> None:
     """Kill a process that hangs, a stopped one, too."""
     with contextlib.suppress(OSError):
         _send(pid, signal.SIGKILL)
+
+
+def await_end(pid: int, within_s: float) -> None:
+    """Wait until a process has ended; its socket may take connections until then.
+
+    Args:
+        pid: the process.
+        within_s: the longest wait, seconds.
+    """
+    with contextlib.suppress(OSError):  # no process has this number any more
+        process = os.pidfd_open(pid)
+        try:
+            is_readable(process, within_s)
+        finally:
+            os.close(process)
+
+
+def is_readable(file: int, within_s: float) -> bool:
+    """True when an open file, whatever its number, has something to read within this time."""
+    poll = select.poll()  # `select.select` takes no number above 1023
+    poll.register(file, select.POLLIN)
+    return bool(poll.poll(within_s * 1_000))
 
 
 def _send(pid: int, number: signal.Signals) -> None:

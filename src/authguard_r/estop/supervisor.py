@@ -19,7 +19,14 @@ from typing import Protocol
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.estop.connection import EStopConnection, start_stop_process
 from authguard_r.estop.files import CONFIG, EStopFiles, config_digest
-from authguard_r.estop.run_folder import SOCKET, end_stop_process, is_of_gate, is_served, kill
+from authguard_r.estop.run_folder import (
+    SOCKET,
+    await_end,
+    end_stop_process,
+    is_of_gate,
+    is_served,
+    kill,
+)
 from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import StopHeard
 
@@ -204,6 +211,8 @@ class EStopSupervisor:
 
     async def _restart(self) -> None:
         """Start it again beside the loop: leases go on being looked at meanwhile."""
+        if self._link is not None and self._link.pid is not None:  # one that is ending takes no new
+            await asyncio.to_thread(await_end, self._link.pid, LIMITS.stop_within_s)
         for process in self._started:
             process.poll()  # reaps one that ended
         try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import resource
 import signal
 import time
 from collections.abc import Awaitable, Callable, Iterator
@@ -22,7 +23,7 @@ from authguard_r.estop import run_folder as lane_place
 from authguard_r.estop import supervisor as lane_keeper
 from authguard_r.estop.connection import EStopConnection
 from authguard_r.estop.files import EStopFiles
-from authguard_r.estop.run_folder import PID, SOCKET
+from authguard_r.estop.run_folder import PID, SOCKET, await_end, is_served
 from authguard_r.estop.supervisor import EStopSupervisor
 from authguard_r.keys.signer import folder_signer
 from authguard_r.wire.messages import ClientRole, StopHeard
@@ -272,6 +273,41 @@ def test_a_lane_that_hangs_counts_as_gone_at_once_and_is_replaced(files: EStopFi
         recorder.end()
     assert heard.silences == 1
     assert heard.lost == [None]
+
+
+def test_a_lane_that_is_ending_is_not_taken_for_one_that_serves(files: EStopFiles) -> None:
+    """The kernel closes the connection before the socket: between the two, it takes another."""
+    recorder = EStopSupervisor(files)
+    try:
+        for _ in range(8):
+            recorder.start()
+            pid = lane_pid(files)
+            assert is_served(files.run / SOCKET)
+            os.kill(pid, signal.SIGKILL)
+            await_end(pid, PATIENCE_S)
+            assert not is_served(files.run / SOCKET)
+        await_end(pid, PATIENCE_S)  # it is a zombie now, and ended
+        held = time.monotonic()
+        await_end(os.getpid(), 0.05)
+        assert time.monotonic() - held >= 0.05  # one that lives is waited for, not forever
+    finally:
+        recorder.end()
+
+
+def test_a_gate_with_a_thousand_open_files_starts_its_lane_all_the_same(files: EStopFiles) -> None:
+    """`select` takes no file number above 1023; a gate with many connections has such numbers."""
+    before, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+    held = [os.dup(2) for _ in range(1_100)]
+    recorder = EStopSupervisor(files)
+    try:
+        recorder.start()
+        assert is_served(files.run / SOCKET)
+    finally:
+        recorder.end()
+        for file in held:
+            os.close(file)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (before, most))
 
 
 def test_a_lane_that_cannot_record_a_stop_is_not_replaced(files: EStopFiles) -> None:
