@@ -35,6 +35,7 @@ from authguard_r.server.wiring import sign_terminal
 from authguard_r.store.sqlite import open_store
 from authguard_r.witness.rules import RequestFinding, WitnessedLog
 from fixtures import scenarios
+from fixtures.amount import amount
 from fixtures.audit_game import (
     QUORUM,
     WITNESSES,
@@ -67,7 +68,7 @@ from fixtures.verification_checks import CHECKS, plain
 
 SEED = os.environ.get("AUTHGUARD_SEED", "20260")
 #: Random rounds by default, and in a campaign.
-ROUNDS, CAMPAIGN = 2_000, int(os.environ.get("AUTHGUARD_ROUNDS", "100000"))
+ROUNDS, CAMPAIGN = amount(600, 2_000), int(os.environ.get("AUTHGUARD_ROUNDS", "100000"))
 #: Fewer than the witnesses that are asked for.
 FEW = QUORUM - 1
 

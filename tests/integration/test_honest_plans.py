@@ -87,7 +87,7 @@ def carried(speed: int, plans: int) -> list[list[str]]:
 @pytest.mark.parametrize(
     ("speed", "plans", "robots"),
     [
-        pytest.param(20, 8, 1, marks=pytest.mark.smoke),
+        pytest.param(20, 3, 1, marks=pytest.mark.smoke),
         (20, 40, 1),
         pytest.param(20, 1_000, 25, marks=pytest.mark.complete),
         pytest.param(4, 50, 5, marks=pytest.mark.complete),

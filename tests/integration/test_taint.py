@@ -28,6 +28,7 @@ from authguard_r.provenance.mentions import MentionMatch
 from authguard_r.sim.robot import snapshot_of
 from authguard_r.store.sqlite import read_rows
 from fixtures import scenarios
+from fixtures.amount import amount
 from missionpair.bench import approve, make_bench, propose
 from missionpair.suite import restricted
 
@@ -336,7 +337,10 @@ def test_a_marker_split_over_channels_names_both_in_the_log(tmp_path: Path) -> N
 @pytest.mark.parametrize("channel", sorted(CHANNELS))
 def test_with_equal_labels_mentions_change_no_decision(channel: str) -> None:
     """Two gates that heard the same channels; one heard every name there is, the other none."""
-    actions = [scenarios.navigate("dock", place) for place in sorted(scenarios.site().regions)]
+    actions = [
+        scenarios.navigate("dock", place)
+        for place in sorted(scenarios.site().regions)[:: amount(3, 1)]
+    ]
     decided = []
     for text in ("nothing at all", json.dumps(sorted(ready().binder.spellings()))):
         sim = ready()

@@ -186,7 +186,13 @@ def _log_figures(
     return {figure.id: figure for figure in made}
 
 
-@pytest.mark.parametrize("cost", ["checkpoints", "witness", "replay", "sealed"])
+#: One of the four is in the default run: they share what a change of the log breaks.
+_RARELY = [
+    pytest.param(cost, marks=pytest.mark.complete) for cost in ("checkpoints", "witness", "sealed")
+]
+
+
+@pytest.mark.parametrize("cost", ["replay", *_RARELY])
 def test_each_cost_of_the_log_can_be_measured(bench: Any, tmp_path: Path, cost: str) -> None:
     """A log or a witness that the code no longer takes shows here, not only in a complete run."""
     import log_cost

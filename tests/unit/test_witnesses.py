@@ -49,6 +49,7 @@ from authguard_r.operations.simulation import Simulation
 from authguard_r.store.memory import MemoryStore
 from authguard_r.wire.gate_limits import LIMITS
 from fixtures import scenarios
+from fixtures.amount import amount
 from fixtures.cases import case
 from fixtures.gate_process import PATIENCE_S, until
 from fixtures.restarting_gate import copied, signer
@@ -772,7 +773,7 @@ def test_a_slow_witness_asked_again_and_again_piles_up_neither_threads_nor_socke
     others, held = carrying(), sockets()
     with SlowWitness(kind) as slow:
         courier = Courier(slow.place.url, limit_s=0.2)
-        for _ in range(20):
+        for _ in range(amount(5, 20)):
             courier.send(b"body")
             assert until(courier.answer, "the end") == NOTHING
             assert len(carrying() - others) <= LIMITS.witness_exchanges
@@ -801,20 +802,19 @@ def test_a_name_that_is_looked_up_without_an_end_takes_two_threads_and_no_more(
     until(lambda: not carrying() - others, "the end of every thread")
 
 
+@pytest.mark.parametrize("quorum", [pytest.param(1, marks=pytest.mark.complete), 2])
 @pytest.mark.parametrize("kind", KINDS)
 def test_an_honest_witness_beside_a_slow_one_cosigns_in_the_same_round(
-    kind: str, one: SmallWitness
+    kind: str, quorum: int, one: SmallWitness
 ) -> None:
     with SlowWitness(kind) as slow:
         places = (slow.place, one.place)  # the slow one is asked first
-        for quorum in (1, 2):
-            asked = WitnessPolicy(places=places, quorum=quorum)
-            one.forget()
-            sim = begin(MemoryStore(), CheckpointPolicy(witnesses=asked))
-            assert states(sim)[1] == "cosigned"
-            assert states(sim)[0] in {"unasked", "unreachable"}  # one without an end is soon over
-            assert one.size == sim.gate.anchor.shown()["checkpoint"]
-            assert witness(sim)["confirmed"] == 1
+        asked = WitnessPolicy(places=places, quorum=quorum)
+        sim = begin(MemoryStore(), CheckpointPolicy(witnesses=asked))
+        assert states(sim)[1] == "cosigned"
+        assert states(sim)[0] in {"unasked", "unreachable"}  # one without an end is soon over
+        assert one.size == sim.gate.anchor.shown()["checkpoint"]
+        assert witness(sim)["confirmed"] == 1
 
 
 def test_one_request_is_on_its_way_at_a_time(one: SmallWitness) -> None:

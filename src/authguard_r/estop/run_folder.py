@@ -14,7 +14,6 @@ import select
 import signal
 import socket
 import stat
-import time
 from pathlib import Path
 
 from msgspec import Struct
@@ -97,14 +96,9 @@ def end_stop_process(run: Path) -> None:
     """
     with contextlib.suppress(FileNotFoundError, ProcessLookupError, ValueError):
         pid = int((run / PID).read_text())
-        for number, until in (
-            (signal.SIGTERM, LIMITS.end_s),
-            (signal.SIGKILL, LIMITS.end_s),
-        ):
+        for number in (signal.SIGTERM, signal.SIGKILL):
             _send(pid, number)
-            ended = time.monotonic() + until
-            while is_served(run / SOCKET) and time.monotonic() < ended:
-                time.sleep(LIMITS.look_s)
+            await_end(pid, LIMITS.end_s)
     if is_served(run / SOCKET):
         raise EnvironmentFault(
             "a stop lane serves here and does not end: end it",

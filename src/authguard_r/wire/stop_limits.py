@@ -34,7 +34,6 @@ class StopLimits(Struct, frozen=True, kw_only=True):
         retry_ms: a disk that failed is tried again after this, milliseconds.
         log_ms: dropped connections are logged this often, milliseconds.
         end_s: a process that gets a signal to end is gone within this, seconds; then it is killed.
-        look_s: pause between two looks at a process that ends, seconds.
         priority: added to the niceness of the process, where the system allows it.
     """
 
@@ -61,7 +60,6 @@ class StopLimits(Struct, frozen=True, kw_only=True):
     retry_ms: int = 1_000
     log_ms: int = 10_000
     end_s: float = 5.0
-    look_s: float = 0.02
     priority: int = -10
 
 

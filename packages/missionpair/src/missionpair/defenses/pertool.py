@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A policy for each tool, in the manner of Progent: which values each argument may have.
 
-It is written from the mission's grants. It checks each call alone: a grant must allow the tool, and
-each argument must have a value that some grant of that tool allows. It does not check rows (which
-thing goes where), state, order, counts, time or choices.
+It is written from the mission's grants, within what the mission allows at most. It checks each call
+alone: a grant must allow the tool, and each argument must have a value that some grant of that tool
+allows. It does not check rows (which thing goes where), state, order, counts, time or choices.
 Spec page: docs/spec/defenses.md#pertool
 """
 
@@ -15,7 +15,7 @@ from msgspec import Struct
 
 from authguard_r.core.action import Action
 from authguard_r.core.identifiers import ParameterId
-from authguard_r.core.mission import Grant
+from authguard_r.core.mission import Grant, Mission
 from missionpair.defenses import Claim, Defense
 from missionpair.defenses._per_mission import PerMission
 from missionpair.defenses._watched import Watched
@@ -69,21 +69,26 @@ def make() -> Defense:
 def policies(stage: Stage) -> dict[tuple[str, str], ToolPolicy]:
     """Return the policy of each kind of action with its tool that the mission grants."""
     grants: dict[tuple[str, str], list[Grant]] = {}
-    for grant in stage.scene.mission.actions:
+    mission = stage.scene.mission
+    for grant in mission.actions:
         grants.setdefault((grant.type, grant.tool), []).append(grant)
-    return {key: _policy(those) for key, those in grants.items()}
+    return {key: _policy(those, mission) for key, those in grants.items()}
 
 
-def _policy(grants: Iterable[Grant]) -> ToolPolicy:
+def _policy(grants: Iterable[Grant], mission: Mission) -> ToolPolicy:
     rows = [row for grant in grants for row in grant.alternatives]
     bounds: dict[ParameterId, tuple[int, int]] = {}
     for limit in (limit for grant in grants for limit in grant.limits):
         low, high = bounds.get(limit.parameter, (limit.low, limit.high))
         bounds[limit.parameter] = (min(low, limit.low), max(high, limit.high))
+    for limit in mission.limits:
+        if limit.parameter in bounds:
+            low, high = bounds[limit.parameter]
+            bounds[limit.parameter] = (max(low, limit.low), min(high, limit.high))
     return ToolPolicy(
-        objects=frozenset(row.object for row in rows),
-        destinations=frozenset(row.destination for row in rows),
-        regions=frozenset(region for row in rows for region in row.regions),
+        objects=frozenset(row.object for row in rows) & {None, *mission.objects},
+        destinations=frozenset(row.destination for row in rows) & {None, *mission.regions},
+        regions=frozenset(region for row in rows for region in row.regions) & {*mission.regions},
         bounds=bounds,
     )
 
