@@ -62,7 +62,7 @@ STOPS: dict[str, set[str]] = {
     "allowlist": {"check_type", "check_tool"},
     "pertool": {
         *("check_type", "check_tool", "check_object", "check_destination", "check_route"),
-        "check_parameters",
+        *("check_parameters", "check_ceilings"),
     },
     "cedar": {
         "check_time",

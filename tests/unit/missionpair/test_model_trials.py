@@ -20,8 +20,9 @@ from missionpair.campaign.log import LogWriter
 from missionpair.campaign.showing import briefing_of
 from missionpair.campaign.trial import PairRun, Setting
 from missionpair.defenses import Defense
+from missionpair.defenses._qualify import qualify
 from missionpair.execution import ExecutedPlan
-from missionpair.pair import plan_bytes
+from missionpair.pair import Suite, plan_bytes
 from missionpair.planners._answers import read_answer
 from missionpair.planners._client import Completion
 from missionpair.records import SCHEMA, Campaign, NamedPart, Trial
@@ -242,6 +243,24 @@ class TestJudge:
             (trial,) = PairRun(made, yard, TO_103, mission_pairs.layout(), first=0).trials()
         assert "its server is away" in trial.error
         assert (trial.unauthorized, trial.complied, trial.blocked) == (1, True, False)
+
+    def test_a_model_that_is_away_is_no_judge_that_failed(
+        self, yard: Yard, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """`--unqualified` would score a server that is not there."""
+
+        def away(*_: object, **__: object) -> str:
+            raise PlannerError("its server is away", code="unreachable", where="judge")
+
+        monkeypatch.setattr(MeteredModel, "ask", away)
+        suite = Suite(
+            name="one",
+            version=1,
+            layouts={TO_103.layout: mission_pairs.layout()},
+            pairs=(TO_103,),
+        )
+        with SERVERS["openai"]() as server, pytest.raises(PlannerError, match="is away"):
+            qualify(_judge(server), suite, yard)
 
     def test_it_changes_no_briefing(self, yard: Yard) -> None:
         stage = yard.stage(TO_103, mission_pairs.layout(), TO_103.attack)

@@ -165,7 +165,7 @@ class TestCommandWithoutTools:
         code, said = self.error("live", "--pairs", "1", "--out", made)
         assert code == 5
         assert said.startswith("PERCEPTION_UNAVAILABLE: ")
-        assert "install `missionpair[perception]`" in said
+        assert "pip install 'missionpair[perception]'" in said
         assert not made.exists()
 
     def test_a_suite_without_signs_and_speech_is_refused(self, tmp_path: Path) -> None:

@@ -35,9 +35,9 @@ def words(tmp_path: Path) -> Path:
 
 @pytest.mark.complete
 def test_its_pairs_are_other_draws_in_the_folders_own_sentences(words: Path) -> None:
-    suite, digest = suites.load(f"private:words={words},seed=one")
-    _, again = suites.load(f"private:words={words},seed=one")
-    other, _ = suites.load(f"private:words={words},seed=two")
+    suite, digest = suites.load(f"private:words={words},seed=one,each=1")
+    _, again = suites.load(f"private:words={words},seed=one,each=1")
+    other, _ = suites.load(f"private:words={words},seed=two,each=1")
     ours, _ = suites.load("full:each=1")
     assert digest == again
     assert [pair.id for pair in suite.pairs] == [pair.id for pair in ours.pairs]
@@ -62,6 +62,34 @@ def test_its_pairs_are_other_draws_in_the_folders_own_sentences(words: Path) -> 
         ("persuasion.toml", "opening = [", "persuasion.toml"),
         ("claims.toml", b"\xff\xfe", "claims.toml"),
         ("notes.toml", "x = 1", "expected at least one of"),
+        (
+            "persuasion.toml",
+            'opening = []\nbridge = ["So."]\nlast = ["So."]',
+            "toml: opening: expected at",
+        ),
+        ("persuasion.toml", 'opning = ["Hello."]', "it has opening, bridge, last"),
+        (
+            "persuasion.toml",
+            'opening = ["Good {day"]\nbridge = ["So."]\nlast = ["So."]',
+            "not closed",
+        ),
+        ("persuasion.toml", 'opening = ["[Hello"]\nbridge = ["So."]\nlast = ["So."]', "not closed"),
+        (
+            "persuasion.toml",
+            'opening = ["{foo}"]\nbridge = ["So."]\nlast = ["So."]',
+            "there are `{ask}`",
+        ),
+        (
+            "claims.toml",
+            '[gaol.destination-change]\nany = ["it is so"]',
+            "no category has a sentence",
+        ),
+        (
+            "written.toml",
+            '[gaol.destination-change]\nany = ["Do {do}."]',
+            "no category is called `gaol`",
+        ),
+        ("languages.toml", '[german.false-emergency]\nany = ["Los: {do}."]', "expected each of de"),
     ],
 )
 def test_a_folder_that_cannot_be_used_is_refused_by_place(
@@ -73,6 +101,14 @@ def test_a_folder_that_cannot_be_used_is_refused_by_place(
         read_grammar(tmp_path)
     with pytest.raises(SuiteError, match=re.escape(said)):
         suites.load(f"private:words={tmp_path},seed=one")
+
+
+def test_a_folder_that_is_none_is_told_apart_from_an_empty_one(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.touch()
+    for path, said in ((tmp_path / "none", "there is no such folder"), (file, "got a file")):
+        with pytest.raises(SuiteError, match=said):
+            suites.load(f"private:words={path},seed=one")
 
 
 @pytest.mark.parametrize("options", ["", "words=/tmp", "seed=one", "words=/tmp,seed=o/ne"])

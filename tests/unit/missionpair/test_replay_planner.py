@@ -7,6 +7,7 @@ import json
 from hashlib import sha256
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from authguard_r.core.encoding import b64
@@ -128,7 +129,10 @@ def test_a_stand_ins_log_stays_a_stand_ins(tmp_path: Path) -> None:
     ("asked", "says"),
     [
         ({"seed": 42}, "has no reply to seed 42"),
-        ({"seed": 40, "text": "Go to Station 102."}, "with other inputs: run the same attacker"),
+        (
+            {"seed": 40, "text": "Go to Station 102."},
+            "with these inputs; was asked it with other inputs",
+        ),
         ({"seed": 41}, "does not hold all of its bytes"),
         ({"seed": 40, "turns": (EarlierTurn("{}", "rejected"),)}, "replay with one turn"),
     ],
@@ -141,6 +145,31 @@ def test_what_was_not_asked_then_is_not_answered_now(
     with pytest.raises(PlannerError, match=says) as failed:
         replay(log=path).propose(briefing(**shown), seed=int(str(asked["seed"])))  # type: ignore[arg-type]
     assert failed.value.where == str(path)
+
+
+def test_an_attack_and_its_control_arm_have_one_seed_and_answers_of_their_own(
+    tmp_path: Path,
+) -> None:
+    """The answer to the attack would make the control arm comply as often as the attack."""
+    alone = msgspec.structs.replace(tried("without"), inputs=())
+    control = msgspec.structs.replace(trial(1, "none", alone), kind="control", complied=False)
+    path = log(
+        tmp_path / "c", trial(0, "none", tried("attacked")), control, kinds=("attack", "control")
+    )
+    planner = replay(log=path)
+    assert planner.propose(briefing(), seed=40).raw == b"attacked"
+    assert planner.propose(unattacked(), seed=40).raw == b"without"
+    lines = [
+        {"pair": "p", "seed": 40, "round": 0, "raw": raw, "inputs": inputs}
+        for raw, inputs in (("attacked", SIGN), ("without", ()))
+    ]
+    planner = replay(file=saved(tmp_path / "f", *lines))
+    assert planner.propose(briefing(), seed=40).raw == b"attacked"
+    assert planner.propose(unattacked(), seed=40).raw == b"without"
+
+
+def unattacked() -> Briefing:
+    return msgspec.structs.replace(briefing(), inputs=())
 
 
 def test_defenses_with_different_answers_are_told_apart_by_name(tmp_path: Path) -> None:

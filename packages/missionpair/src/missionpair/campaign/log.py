@@ -268,7 +268,10 @@ def _trials(
             raise LogError("says other than the lines before it", where=where)
     if not ended and not is_partial_allowed:
         text = "has no last line: it was cut, or its campaign has not come to its end"
-        raise LogError(f"{text} (run it again to go on, or take it as it is)", where=str(path))
+        raise LogError(
+            f"{text} (run it again to go on; `report` takes it as it is with `--partial`)",
+            where=str(path),
+        )
 
 
 def _lines(path: Path, *, is_cut_allowed: bool) -> Iterator[bytes]:
@@ -282,7 +285,10 @@ def _lines(path: Path, *, is_cut_allowed: bool) -> Iterator[bytes]:
                 if len(line) > MAX_LINE:
                     raise LogError(f"has a line of more than {MAX_LINE} bytes", where=str(path))
                 if not is_cut_allowed:
-                    raise LogError("ends in the middle of a line: it was cut", where=str(path))
+                    raise LogError(
+                        "ends in the middle of a line: it was cut (run it again to go on)",
+                        where=str(path),
+                    )
     except OSError as error:
         raise LogError(
             f"cannot be read: {error.strerror}", where=str(path), is_here=True
@@ -326,6 +332,9 @@ def _locked(path: Path) -> int:
     try:
         if path.exists() and not path.is_file():
             raise LogError("is no file that a log can be written to", where=str(path), is_here=True)
+        if not path.parent.is_dir():
+            text = f"cannot be written: there is no folder `{path.parent}`, create it"
+            raise LogError(text, where=str(path), is_here=True)
         file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     except OSError as error:
         raise LogError(

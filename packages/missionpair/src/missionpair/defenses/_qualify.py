@@ -13,7 +13,7 @@ from msgspec import Struct
 
 from missionpair.defenses import Defense
 from missionpair.defenses._outside import outside
-from missionpair.execution import NO_DEFENSE
+from missionpair.execution import NO_DEFENSE, ExecutedPlan
 from missionpair.pair import Layout, Pair, Scenario, Suite, plan_bytes
 from missionpair.stage import Stage, Yard
 
@@ -121,8 +121,7 @@ def stopped(defense: Defense, stage: Stage) -> UnfitDefense | None:
         defense: as `fit_of` returns it.
         stage: the benign situation of a pair, as it begins.
     """
-    defense.begin(seed=0)
-    carried = defense.carry_out(stage, plan_bytes(stage.pair.benign.plan))
+    carried = _carried(defense, stage, plan_bytes(stage.pair.benign.plan))
     if carried.completed:
         return None
     why = f"a benign run was stopped by {carried.by or 'nobody'}: {', '.join(carried.reasons)}"
@@ -217,8 +216,7 @@ def _is_own(defense: Defense, pair: Pair, layout: Layout, yard: Yard) -> bool:
 
 def _attack(defense: Defense, pair: Pair, layout: Layout, yard: Yard) -> Iterator[UnfitDefense]:
     stage = _stage(defense, pair, layout, pair.attack, yard)
-    defense.begin(seed=0)
-    carried = defense.carry_out(stage, plan_bytes(pair.attack.plan))
+    carried = _carried(defense, stage, plan_bytes(pair.attack.plan))
     why = ""
     if not all(effect.authorized for effect in carried.effects):
         why = "an attack of its own kind was carried out"
@@ -226,6 +224,20 @@ def _attack(defense: Defense, pair: Pair, layout: Layout, yard: Yard) -> Iterato
         why = f"it was not the defense that stopped an attack of its own kind, but `{carried.by}`"
     if why:
         yield UnfitDefense(defense=defense.name, pair=pair.id, what="attack", why=why)
+
+
+def _carried(defense: Defense, stage: Stage, raw: bytes) -> ExecutedPlan:
+    """Return what became of a plan; a model that does not answer has shown nothing.
+
+    Raises:
+        PlannerError: the defense asks a model that does not answer.
+    """
+    defense.begin(seed=0)
+    carried = defense.carry_out(stage, raw)
+    failure = getattr(defense, "failure", None)
+    if failure is not None:
+        raise failure
+    return carried
 
 
 def _stage(defense: Defense, pair: Pair, layout: Layout, scenario: Scenario, yard: Yard) -> Stage:

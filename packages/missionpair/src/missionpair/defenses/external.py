@@ -35,8 +35,8 @@ def make(socket: str = "", timeout_ms: str = "200") -> Defense:
         checker = convert(plain, ExternalChecker, where=NAME)
     except MalformedError as error:
         raise DefenseError(
-            f"`{NAME}` needs `socket=/path/of/its/socket`, and may have `timeout_ms=1` to 1000: "
-            f"{error.message}"
+            f"`{NAME}` needs `socket=/path/of/its/socket`, a whole path of 107 characters at most, "
+            f"and may have `timeout_ms=1` to 1000; got `{socket[:80]}` and `{timeout_ms[:20]}`"
         ) from error
     gate = ExternalGate(checker)
 

@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from missionpair.pair import Input, Pair, Perceived, Suite
 from missionpair.perception import signs, speech
-from missionpair.perception.tools import package
+from missionpair.perception.tools import package, require_tools
 from missionpair.wording import is_foreign
 from missionpair.words import Channel
 
@@ -59,6 +59,7 @@ def perceive(
     Raises:
         PerceptionError: a program or a package is not installed, or one of them failed.
     """
+    require_tools(("PIL", "jiwer", "moonshine_voice", *(font for font, _ in signs.FONTS.values())))
     chosen = [pair for pair in suite.pairs if is_perceivable(pair)]
     found: list[Pair] = []
     with ThreadPoolExecutor(jobs) as pool:

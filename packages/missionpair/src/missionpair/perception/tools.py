@@ -7,9 +7,11 @@ import os
 import re
 import shutil
 import subprocess
+from collections.abc import Iterable
 from functools import cache
 from importlib import import_module
 from importlib.metadata import version
+from importlib.util import find_spec
 from typing import Any
 
 #: Debian's package of each program.
@@ -23,6 +25,27 @@ class PerceptionError(Exception):
     """A text cannot be drawn, read, spoken or heard; the message says what to do."""
 
 
+def require_tools(modules: Iterable[str]) -> None:
+    """Say at once what is not installed, before the first text.
+
+    Args:
+        modules: of the extra `perception`.
+
+    Raises:
+        PerceptionError: a program or a package is missing; names all of them and the commands.
+    """
+    packages = [name for name in modules if find_spec(name) is None]
+    programs = [name for name in _PACKAGES if shutil.which(name) is None]
+    said: list[str] = []
+    if packages:
+        said.append(f"no package {', '.join(packages)}: pip install 'missionpair[perception]'")
+    if programs:
+        wanted = " ".join(_PACKAGES[name] for name in programs)
+        said.append(f"no program {', '.join(programs)}: apt-get install {wanted}")
+    if said:
+        raise PerceptionError("; ".join(said))
+
+
 def package(name: str) -> Any:
     """Return a module of the extra `perception`.
 
@@ -32,7 +55,7 @@ def package(name: str) -> Any:
     try:
         return import_module(name)
     except ImportError as error:
-        text = f"no package `{error.name}`; install `missionpair[perception]`"
+        text = f"no package `{error.name}`; pip install 'missionpair[perception]'"
         raise PerceptionError(text) from error
 
 

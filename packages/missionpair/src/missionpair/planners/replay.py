@@ -2,8 +2,9 @@
 """Answers that were given before: from a campaign's log, or a file of saved replies.
 
 Options: `log=FILE`, with `defense=NAME` where its defenses got different answers, or `file=FILE`
-with one `{"pair", "seed", "round", "raw", "refused"?}` a line, where `seed` is the trial's and
-`round` counts from 0. What was not asked then is not answered now.
+with one `{"pair", "seed", "round", "raw", "refused"?, "inputs"?}` a line, where `seed` is the
+trial's and `round` counts from 0. An attack and its control arm have one seed: `inputs`, a list of
+`[channel, text]`, tells them apart. What was not asked then is not answered now.
 How-to: docs/howto/missionpair-models.md
 """
 
@@ -20,6 +21,10 @@ from msgspec import Meta, Struct
 from authguard_r.core.encoding import b64
 from missionpair.briefing import Briefing, PlannerError, Reply
 
+#: What had reached a planner, channel and text.
+Inputs = tuple[tuple[str, str], ...]
+#: By seed and what had reached the planner; None: by the seed alone.
+_Answers = dict[tuple[int, Inputs | None], "_StoredAnswer"]
 #: Longest line of a file of replies, in bytes.
 _MAX_LINE = 8 * 1024 * 1024
 
@@ -41,6 +46,7 @@ class Saved(Struct, frozen=True, forbid_unknown_fields=True):
         round: from 0.
         raw: what the planner wrote.
         refused: it said itself that it will not.
+        inputs: what had reached it, channel and text; without it the reply answers whatever has.
     """
 
     pair: str
@@ -48,6 +54,7 @@ class Saved(Struct, frozen=True, forbid_unknown_fields=True):
     round: Annotated[int, Meta(ge=0)]
     raw: str
     refused: bool = False
+    inputs: Inputs | None = None
 
 
 class _StoredAnswer(Struct, frozen=True):
@@ -56,13 +63,11 @@ class _StoredAnswer(Struct, frozen=True):
     Args:
         raw: its bytes.
         refused: as it said.
-        inputs: what it was asked with; None where that was not kept.
         fault: why it cannot be given again; empty when it can.
     """
 
     raw: bytes
     refused: bool
-    inputs: tuple[tuple[str, str], ...] | None
     fault: str = ""
 
 
@@ -70,17 +75,16 @@ class ReplayPlanner:
     """A planner that answers what another one answered.
 
     Args:
-        kept: answers by the seed that they were asked with.
+        kept: answers.
         simulated: they are a stand-in's, or their author is unknown.
         of: who gave them, for the log.
         where: the file.
     """
 
-    def __init__(
-        self, kept: dict[int, _StoredAnswer], *, simulated: bool, of: dict[str, Any], where: str
-    ) -> None:
+    def __init__(self, kept: _Answers, *, simulated: bool, of: dict[str, Any], where: str) -> None:
         self.name, self.simulated, self.parameters = "replay", simulated, of
         self._kept, self._where = kept, where
+        self._seeds = frozenset(seed for seed, _ in kept)
 
     def propose(self, briefing: Briefing, *, seed: int) -> Reply:
         """Return the answer of then.
@@ -88,14 +92,15 @@ class ReplayPlanner:
         Raises:
             PlannerError: it is missing, or it was asked with other inputs.
         """
-        kept = self._kept.get(seed)
-        if kept is None:
+        inputs = tuple((str(item.channel), item.text) for item in briefing.inputs)
+        kept = self._kept.get((seed, inputs)) or self._kept.get((seed, None))
+        if seed not in self._seeds:
             raise self._missing(f"has no reply to seed {seed}")
+        if kept is None:
+            text = "was asked it with other inputs: run the same attacker and kinds of trial"
+            raise self._missing(f"has no reply to seed {seed} with these inputs; {text}")
         if kept.fault:
             raise self._missing(f"cannot say the reply to seed {seed}: {kept.fault}")
-        inputs = tuple((str(item.channel), item.text) for item in briefing.inputs)
-        if kept.inputs is not None and kept.inputs != inputs:
-            raise self._missing(f"was asked seed {seed} with other inputs: run the same attacker")
         if briefing.turns:
             raise self._missing("has one reply a round: replay with one turn")
         return Reply(raw=kept.raw, refused=kept.refused)
@@ -119,7 +124,7 @@ def make(*, log: str = "", file: str = "", defense: str = "") -> ReplayPlanner:
 def _of_log(path: Path, defense: str) -> ReplayPlanner:
     from missionpair.campaign.log import LogError, read_log
 
-    kept: dict[int, _StoredAnswer] = {}
+    kept: _Answers = {}
     try:
         campaign, trials = read_log(path, is_partial_allowed=True)
         names = [named.name for named in campaign.defenses]
@@ -131,7 +136,7 @@ def _of_log(path: Path, defense: str) -> ReplayPlanner:
         for trial in trials:
             if defense in {"", trial.defense}:
                 for number, one in enumerate(trial.rounds):
-                    _add(kept, trial.seed + number, _of_round(one))
+                    _add(kept, (trial.seed + number, one.inputs), _of_round(one))
     except LogError as error:
         raise ReplayError(error.message, code="log", where=error.where) from error
     of = {"planner": msgspec.to_builtins(campaign.planner), "log": _digest(path)}
@@ -143,17 +148,17 @@ def _of_round(one: Any) -> _StoredAnswer:
     raw: bytes = one.reply.encode()
     cut = b64(sha256(raw).digest()) != one.reply_digest
     fault = "the log does not hold all of its bytes" if cut else ""
-    return _StoredAnswer(raw, one.declined, one.inputs, fault)
+    return _StoredAnswer(raw, one.declined, fault)
 
 
 def _of_file(path: Path) -> ReplayPlanner:
-    kept: dict[int, _StoredAnswer] = {}
+    kept: _Answers = {}
     for number, saved in _lines(path):
         raw = saved.raw.encode(errors="surrogatepass")
         seed = saved.seed + saved.round
-        if seed in kept:
+        if (seed, saved.inputs) in kept:
             raise _broken(path, f"answers seed {seed} twice", line=number)
-        kept[seed] = _StoredAnswer(raw, saved.refused, None)
+        kept[seed, saved.inputs] = _StoredAnswer(raw, saved.refused)
     # untrusted
     return ReplayPlanner(kept, simulated=True, of={"file": _digest(path)}, where=str(path))
 
@@ -174,12 +179,12 @@ def _lines(path: Path) -> Iterator[tuple[int, Saved]]:
         raise _broken(path, f"is no saved reply: {error}", line=number) from error
 
 
-def _add(kept: dict[int, _StoredAnswer], seed: int, new: _StoredAnswer) -> None:
-    """Keep an answer; two different ones to one seed are both dropped."""
-    old = kept.setdefault(seed, new)
+def _add(kept: _Answers, key: tuple[int, Inputs | None], new: _StoredAnswer) -> None:
+    """Keep an answer; two different ones to one question are both dropped."""
+    old = kept.setdefault(key, new)
     if old != new:
         fault = "defenses got different ones: name one with `defense`"
-        kept[seed] = msgspec.structs.replace(old, fault=fault)
+        kept[key] = msgspec.structs.replace(old, fault=fault)
 
 
 def _digest(path: Path) -> str:

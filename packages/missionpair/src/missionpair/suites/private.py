@@ -18,13 +18,13 @@ from missionpair.wording.productions import GrammarError, read_grammar
 VERSION = 1
 
 
-def make(words: str = "", seed: str = "", each: str = "1") -> Suite:
+def make(words: str = "", seed: str = "", each: str = "5") -> Suite:
     """Return the suite.
 
     Args:
         words: a folder with at least one of the grammar's files; the others are ours.
         seed: of all draws, a word that nobody guesses.
-        each: pairs of each cell.
+        each: pairs of each cell; a text is made in one of five ways, by the pair's number there.
 
     Raises:
         UnknownNameError: `each` is no whole number from 1 on.

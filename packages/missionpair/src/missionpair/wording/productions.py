@@ -13,15 +13,19 @@ import re
 from collections.abc import Iterable, Iterator
 from importlib.resources import files
 from pathlib import Path
+from typing import get_type_hints
 
 import msgspec
 from msgspec import Struct
 
-from missionpair.words import Channel, Family
+from missionpair.wording.foreign import TABLES
+from missionpair.words import COMBINED, Category, Channel, Family
 
 #: What a sentence may leave open.
 _SLOT = re.compile(r"\{[^{}]*\}")
 _SLOTS = frozenset({"{it}", "{do}", "{ask}", "{body}", "{scene}"})
+#: Stands in a file of sentences for every category.
+EVERY = "own"
 _CHOICE = re.compile(r"\[([^\[\]]*\|[^\[\]]*)\]")
 
 
@@ -148,44 +152,103 @@ def read_grammar(folder: Path | None = None) -> Grammar:
     found: dict[str, object] = {}
     ours = files("missionpair.wording")
     names = [f"{field}.toml" for field in Grammar.__struct_fields__]
-    if folder is not None and not any((folder / name).is_file() for name in names):
-        raise GrammarError(f"{folder}: expected at least one of {', '.join(names)}")
-    for name in names:
-        other = folder / name if folder is not None else None
-        path = other if other is not None and other.is_file() else ours / name
+    if folder is not None:
+        _require_folder(folder, names)
+    for field, kind in get_type_hints(Grammar).items():
+        other = folder / f"{field}.toml" if folder is not None else None
+        path = other if other is not None and other.is_file() else ours / f"{field}.toml"
         try:
-            found[name.removesuffix(".toml")] = _expanded(msgspec.toml.decode(path.read_bytes()))
+            read = _expanded(msgspec.toml.decode(path.read_bytes()))
+            found[field] = msgspec.convert(read, kind)
         except (msgspec.DecodeError, UnicodeDecodeError) as error:
-            raise GrammarError(f"{path}: {error}") from error
-    where = folder or "missionpair.wording"
-    try:
-        grammar = msgspec.convert(found, Grammar)
-    except msgspec.ValidationError as error:
-        raise GrammarError(f"{where}: {error}") from error
-    for fault in _faults(grammar):
-        raise GrammarError(f"{where}: {fault}")
+            raise GrammarError(f"{path}: {error}{_fields_of(kind)}") from error
+    grammar = Grammar(**found)  # type: ignore[arg-type]
+    for name, fault in _faults(grammar):
+        raise GrammarError(f"{folder or 'missionpair.wording'}/{name}.toml: {fault}")
     return grammar
 
 
-def _faults(grammar: Grammar) -> Iterator[str]:
-    """Yield what the types cannot say: a text without its ask would attack nothing."""
-    needed: list[tuple[str, Iterable[str], str]] = [
-        (f"{name}.toml", _all_of(held), "{do}")
-        for name, held in (("written", grammar.written), ("languages", grammar.languages))
+def _require_folder(folder: Path, names: list[str]) -> None:
+    if not folder.exists():
+        raise GrammarError(f"{folder}: there is no such folder")
+    if not folder.is_dir():
+        raise GrammarError(f"{folder}: expected a folder, got a file")
+    if not any((folder / name).is_file() for name in names):
+        raise GrammarError(f"{folder}: expected at least one of {', '.join(names)}")
+
+
+def _fields_of(kind: object) -> str:
+    """Return what a file may have at its top, where that is fixed."""
+    if isinstance(kind, type) and issubclass(kind, Struct):
+        return f"; it has {', '.join(kind.__struct_fields__)}"
+    return ""
+
+
+def _faults(grammar: Grammar) -> Iterator[tuple[str, str]]:
+    """Yield file and fault of what the types cannot say, as a text that would ask for nothing."""
+    styles = {
+        f"{channel}.{name}": getattr(style, name)
+        for channel, style in grammar.styles.items()
+        for name in ChannelStyle.__struct_fields__
+    }
+    persuasion = {name: getattr(grammar.persuasion, name) for name in Persuasion.__struct_fields__}
+    needed: list[tuple[str, str, Iterable[str], str]] = [
+        ("written", "", _all_of(grammar.written), "{do}"),
+        ("languages", "", _all_of(grammar.languages), "{do}"),
+        *(("styles", name, styles[name], "{body}") for name in styles if "settings" in name),
+        ("productions", "manner", grammar.productions.manner.values(), "{ask}"),
     ]
-    for channel, style in grammar.styles.items():
-        needed.append((f"styles.toml, {channel}.settings", style.settings, "{body}"))
-    needed.append(("productions.toml, manner", grammar.productions.manner.values(), "{ask}"))
-    for place, sentences, slot in needed:
+    for file, place, sentences, slot in needed:
         for text in sentences:
             if text.count(slot) != 1:
-                yield f"{place}: expected `{slot}` once in `{text[:80]}`"
-    for text in _texts(msgspec.to_builtins(grammar)):
-        unknown = set(_SLOT.findall(text)) - _SLOTS
-        if unknown:
-            yield f"nothing is called `{min(unknown)}` in `{text[:80]}`"
+                yield file, f"{place}: expected `{slot}` once in `{text[:80]}`".lstrip(": ")
+    for file, lists in (("styles", styles), ("persuasion", persuasion)):
+        for place, sentences in lists.items():
+            if not sentences:
+                yield file, f"{place}: expected at least one sentence"
     if {*grammar.styles} != {*Channel}:
-        yield f"styles.toml: expected each of {', '.join(Channel)}"
+        yield "styles", f"expected each of {', '.join(Channel)}"
+    for file in Grammar.__struct_fields__:
+        for text in _texts(msgspec.to_builtins(getattr(grammar, file))):
+            yield from ((file, fault) for fault in _faults_of(text))
+    yield from _missing(grammar)
+
+
+def _faults_of(text: str) -> Iterator[str]:
+    unknown = set(_SLOT.findall(text)) - _SLOTS
+    if unknown:
+        allowed = ", ".join(f"`{slot}`" for slot in sorted(_SLOTS))
+        yield f"nothing is called `{min(unknown)}` in `{text[:80]}`; there are {allowed}"
+    elif set(_SLOT.sub("", text)) & set("{}[]"):
+        yield f"a bracket is not closed, or has no choice `[a|b]`, in `{text[:80]}`"
+
+
+def _missing(grammar: Grammar) -> Iterator[tuple[str, str]]:
+    """Yield what would leave an attack without its sentence."""
+    claimed = {family for held in grammar.claims.values() for family in held}
+    for family in Family:
+        if family not in claimed:
+            yield "claims", f"no category has a sentence for `{family}`"
+    for file, held in (("claims", grammar.claims), ("written", grammar.written)):
+        for category in held:
+            if category not in {COMBINED, EVERY} and not _is_category(category):
+                yield file, f"no category is called `{category}`; `{EVERY}` stands for all"
+    if {*grammar.languages} != {*TABLES}:
+        yield (
+            "languages",
+            f"expected each of {', '.join(TABLES)}, got {', '.join(grammar.languages)}",
+        )
+    for language, families in grammar.languages.items():
+        if lacks := {*Family} - {*families}:
+            yield "languages", f"{language}: no sentence for `{min(lacks)}`"
+
+
+def _is_category(name: str) -> bool:
+    try:
+        Category(name)
+    except ValueError:
+        return False
+    return True
 
 
 def _texts(value: object) -> Iterator[str]:
