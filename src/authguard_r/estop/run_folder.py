@@ -96,9 +96,14 @@ def end_stop_process(run: Path) -> None:
     """
     with contextlib.suppress(FileNotFoundError, ProcessLookupError, ValueError):
         pid = int((run / PID).read_text())
-        for number in (signal.SIGTERM, signal.SIGKILL):
-            _send(pid, number)
-            await_end(pid, LIMITS.end_s)
+        process = os.pidfd_open(pid)
+        try:
+            for number in (signal.SIGTERM, signal.SIGKILL):
+                signal.pidfd_send_signal(process, number)
+                if is_readable(process, LIMITS.end_s):  # it has ended
+                    break
+        finally:
+            os.close(process)
     if is_served(run / SOCKET):
         raise EnvironmentFault(
             "a stop lane serves here and does not end: end it",
@@ -113,9 +118,13 @@ def is_of_gate(run: Path) -> bool:
 
 
 def kill(pid: int) -> None:
-    """Kill a process that hangs, a stopped one, too."""
+    """Kill a process that hangs, a stopped one, too; no later one that has its number."""
     with contextlib.suppress(OSError):
-        _send(pid, signal.SIGKILL)
+        process = os.pidfd_open(pid)
+        try:
+            signal.pidfd_send_signal(process, signal.SIGKILL)
+        finally:
+            os.close(process)
 
 
 def await_end(pid: int, within_s: float) -> None:
@@ -125,7 +134,7 @@ def await_end(pid: int, within_s: float) -> None:
         pid: the process.
         within_s: the longest wait, seconds.
     """
-    with contextlib.suppress(OSError):  # no process has this number any more
+    with contextlib.suppress(ProcessLookupError):  # no process has this number any more
         process = os.pidfd_open(pid)
         try:
             is_readable(process, within_s)
@@ -138,15 +147,6 @@ def is_readable(file: int, within_s: float) -> bool:
     poll = select.poll()  # `select.select` takes no number above 1023
     poll.register(file, select.POLLIN)
     return bool(poll.poll(within_s * 1_000))
-
-
-def _send(pid: int, number: signal.Signals) -> None:
-    """Send a signal to the process that has this number now, and to no later one."""
-    process = os.pidfd_open(pid)
-    try:
-        signal.pidfd_send_signal(process, number)
-    finally:
-        os.close(process)
 
 
 def is_served(path: Path) -> bool:

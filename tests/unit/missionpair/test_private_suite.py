@@ -77,8 +77,10 @@ def test_its_pairs_are_other_draws_in_the_folders_own_sentences(words: Path) -> 
         (
             "persuasion.toml",
             'opening = ["{foo}"]\nbridge = ["So."]\nlast = ["So."]',
-            "there are `{ask}`",
+            "there is none",
         ),
+        ("persuasion.toml", "opening = [1]", "persuasion.toml"),
+        ("claims.toml", "[own.false-emergency]", "own.false-emergency: expected at least one"),
         (
             "claims.toml",
             '[gaol.destination-change]\nany = ["it is so"]',

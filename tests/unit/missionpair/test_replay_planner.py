@@ -246,3 +246,17 @@ def test_one_source_is_named_and_it_is_there(tmp_path: Path) -> None:
 def test_a_replay_answers_no_other_questions(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="`replay` is no live model"):
         make_client(f"replay:file={saved(tmp_path / 'r')}")
+
+
+def test_a_file_that_says_no_inputs_does_not_answer_attack_and_control_alike(
+    tmp_path: Path,
+) -> None:
+    """Both would get one reply, and their difference would be 0 for the file's sake."""
+    line = {"pair": "p", "seed": 40, "round": 0, "raw": "attacked"}
+    planner = replay(file=saved(tmp_path / "f", line))
+    assert planner.propose(briefing(), seed=40).raw == b"attacked"
+    assert planner.propose(briefing(), seed=40).raw == b"attacked"  # under another defense
+    with pytest.raises(PlannerError, match="attack and control arm alike"):
+        planner.propose(unattacked(), seed=40)
+    with pytest.raises(PlannerError, match="answers seed 40 twice"):
+        replay(file=saved(tmp_path / "g", line, {**line, "inputs": ()}))

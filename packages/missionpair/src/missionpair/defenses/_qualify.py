@@ -68,6 +68,7 @@ def qualify(defense: Defense, suite: Suite, yard: Yard) -> tuple[UnfitDefense, .
     Raises:
         StageError: a pair cannot be made real.
         DefenseError: the defense cannot do anything with a pair at all.
+        PlannerError: it asks a model that does not answer.
     """
     trying = _Trying(defense, yard)
     for pair in suite.pairs:
@@ -92,6 +93,7 @@ def hold(defense: Defense, suite: Suite, yard: Yard) -> Fitness:
     Raises:
         StageError: a pair cannot be made real.
         DefenseError: the defense cannot do anything with a pair at all.
+        PlannerError: it asks a model that does not answer.
     """
     trying = _Trying(defense, yard)
     few = min(MOST_BENIGN, len(suite.pairs))
@@ -120,6 +122,9 @@ def stopped(defense: Defense, stage: Stage) -> UnfitDefense | None:
     Args:
         defense: as `fit_of` returns it.
         stage: the benign situation of a pair, as it begins.
+
+    Raises:
+        PlannerError: it asks a model that does not answer.
     """
     carried = _carried(defense, stage, plan_bytes(stage.pair.benign.plan))
     if carried.completed:

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """A policy for each tool, in the manner of Progent: which values each argument may have.
 
-It is written from the mission's grants, within what the mission allows at most. It checks each call
-alone: a grant must allow the tool, and each argument must have a value that some grant of that tool
-allows. It does not check rows (which thing goes where), state, order, counts, time or choices.
+It is written from the mission's grants, within the mission's ceilings. It checks each call alone: a
+grant must allow the tool, and each argument must have a value that some grant of that tool allows.
+It does not check rows (which thing goes where), state, order, counts, time or choices.
 Spec page: docs/spec/defenses.md#pertool
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 from msgspec import Struct
 
@@ -37,12 +37,14 @@ class ToolPolicy(Struct, frozen=True):
         destinations: places; None stands for none.
         regions: places that a way may touch.
         bounds: the widest bounds of each parameter.
+        needed: the parameters that every grant of it has.
     """
 
     objects: frozenset[str | None]
     destinations: frozenset[str | None]
     regions: frozenset[str]
     bounds: dict[ParameterId, tuple[int, int]]
+    needed: frozenset[ParameterId]
 
     def allows(self, action: Action) -> bool:
         """True when every argument by itself may have its value."""
@@ -50,8 +52,11 @@ class ToolPolicy(Struct, frozen=True):
             action.object in self.objects
             and action.destination in self.destinations
             and self.regions.issuperset(action.route)
-            and self.bounds.keys() == action.params.keys()
-            and all(low <= action.params[n] <= high for n, (low, high) in self.bounds.items())
+            and self.needed <= action.params.keys() <= self.bounds.keys()
+            and all(
+                self.bounds[name][0] <= value <= self.bounds[name][1]
+                for name, value in action.params.items()
+            )
         )
 
 
@@ -75,7 +80,7 @@ def policies(stage: Stage) -> dict[tuple[str, str], ToolPolicy]:
     return {key: _policy(those, mission) for key, those in grants.items()}
 
 
-def _policy(grants: Iterable[Grant], mission: Mission) -> ToolPolicy:
+def _policy(grants: Sequence[Grant], mission: Mission) -> ToolPolicy:
     rows = [row for grant in grants for row in grant.alternatives]
     bounds: dict[ParameterId, tuple[int, int]] = {}
     for limit in (limit for grant in grants for limit in grant.limits):
@@ -90,6 +95,9 @@ def _policy(grants: Iterable[Grant], mission: Mission) -> ToolPolicy:
         destinations=frozenset(row.destination for row in rows) & {None, *mission.regions},
         regions=frozenset(region for row in rows for region in row.regions) & {*mission.regions},
         bounds=bounds,
+        needed=frozenset.intersection(
+            *(frozenset(limit.parameter for limit in grant.limits) for grant in grants)
+        ),
     )
 
 

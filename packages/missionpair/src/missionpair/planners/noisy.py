@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """An honest planner whose plans are not the author's ideal ones: FRR of work as it really comes.
 
-It does the mission and nothing else, but now and then it looks around once more, waits a moment,
-goes slower, says why, or does a step twice. No model, simulated. Option `share=P`: how likely each
-step has something of that kind (0.3). How-to: docs/howto/missionpair-attackers.md
+It does the mission, but now and then it looks around once more, waits a moment, goes slower, says
+why, or does a step twice; the mission may not allow that. No model, simulated. Option `share=P`:
+how likely each step has something of that kind (0.3). How-to: docs/howto/missionpair-attackers.md
 """
 
 from __future__ import annotations

@@ -46,7 +46,8 @@ class Saved(Struct, frozen=True, forbid_unknown_fields=True):
         round: from 0.
         raw: what the planner wrote.
         refused: it said itself that it will not.
-        inputs: what had reached it, channel and text; without it the reply answers whatever has.
+        inputs: what had reached it, channel and text; without it the reply
+            answers the first that asks with its seed, and nobody with other inputs.
     """
 
     pair: str
@@ -85,6 +86,8 @@ class ReplayPlanner:
         self.name, self.simulated, self.parameters = "replay", simulated, of
         self._kept, self._where = kept, where
         self._seeds = frozenset(seed for seed, _ in kept)
+        #: What had reached it where a reply does not say that: one question for each seed.
+        self._first: dict[int, Inputs] = {}
 
     def propose(self, briefing: Briefing, *, seed: int) -> Reply:
         """Return the answer of then.
@@ -93,7 +96,7 @@ class ReplayPlanner:
             PlannerError: it is missing, or it was asked with other inputs.
         """
         inputs = tuple((str(item.channel), item.text) for item in briefing.inputs)
-        kept = self._kept.get((seed, inputs)) or self._kept.get((seed, None))
+        kept = self._kept.get((seed, inputs)) or self._unnamed(seed, inputs)
         if seed not in self._seeds:
             raise self._missing(f"has no reply to seed {seed}")
         if kept is None:
@@ -104,6 +107,14 @@ class ReplayPlanner:
         if briefing.turns:
             raise self._missing("has one reply a round: replay with one turn")
         return Reply(raw=kept.raw, refused=kept.refused)
+
+    def _unnamed(self, seed: int, inputs: Inputs) -> _StoredAnswer | None:
+        """Return a reply that says no inputs; to one question alone, not to attack and control."""
+        kept = self._kept.get((seed, None))
+        if kept is not None and self._first.setdefault(seed, inputs) != inputs:
+            text = "attack and control arm alike: give its `inputs`, or run one of them"
+            raise self._missing(f"would answer seed {seed} in {text}")
+        return kept
 
     def _missing(self, message: str) -> PlannerError:
         return ReplayError(message, code="protocol", where=self._where)
@@ -156,7 +167,7 @@ def _of_file(path: Path) -> ReplayPlanner:
     for number, saved in _lines(path):
         raw = saved.raw.encode(errors="surrogatepass")
         seed = saved.seed + saved.round
-        if (seed, saved.inputs) in kept:
+        if (seed, saved.inputs) in kept or (saved.inputs is not None and (seed, None) in kept):
             raise _broken(path, f"answers seed {seed} twice", line=number)
         kept[seed, saved.inputs] = _StoredAnswer(raw, saved.refused)
     # untrusted

@@ -10,7 +10,7 @@ Spec page: docs/spec/missionpair-access.md#wording
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from importlib.resources import files
 from pathlib import Path
 from typing import get_type_hints
@@ -23,8 +23,17 @@ from missionpair.words import COMBINED, Category, Channel, Family
 
 #: What a sentence may leave open.
 _SLOT = re.compile(r"\{[^{}]*\}")
-_SLOTS = frozenset({"{it}", "{do}", "{ask}", "{body}", "{scene}"})
-#: Stands in a file of sentences for every category.
+_SLOTS = {
+    "productions": ("{it}", "{ask}"),
+    "claims": ("{it}",),
+    "written": ("{it}", "{do}"),
+    "styles": ("{it}", "{body}", "{scene}"),
+    "persuasion": (),
+    "languages": ("{it}", "{do}"),
+}
+#: What an arrangement puts in order.
+_SENTENCES = frozenset({"claim", "authority", "reason", "former", "ask", "urgency", "closing"})
+#: A category of a file that has one list of sentences for every category.
 EVERY = "own"
 _CHOICE = re.compile(r"\[([^\[\]]*\|[^\[\]]*)\]")
 
@@ -185,40 +194,77 @@ def _fields_of(kind: object) -> str:
 
 
 def _faults(grammar: Grammar) -> Iterator[tuple[str, str]]:
-    """Yield file and fault of what the types cannot say, as a text that would ask for nothing."""
-    styles = {
-        f"{channel}.{name}": getattr(style, name)
-        for channel, style in grammar.styles.items()
-        for name in ChannelStyle.__struct_fields__
-    }
-    persuasion = {name: getattr(grammar.persuasion, name) for name in Persuasion.__struct_fields__}
-    needed: list[tuple[str, str, Iterable[str], str]] = [
-        ("written", "", _all_of(grammar.written), "{do}"),
-        ("languages", "", _all_of(grammar.languages), "{do}"),
-        *(("styles", name, styles[name], "{body}") for name in styles if "settings" in name),
-        ("productions", "manner", grammar.productions.manner.values(), "{ask}"),
-    ]
-    for file, place, sentences, slot in needed:
-        for text in sentences:
-            if text.count(slot) != 1:
-                yield file, f"{place}: expected `{slot}` once in `{text[:80]}`".lstrip(": ")
-    for file, lists in (("styles", styles), ("persuasion", persuasion)):
-        for place, sentences in lists.items():
-            if not sentences:
-                yield file, f"{place}: expected at least one sentence"
-    if {*grammar.styles} != {*Channel}:
-        yield "styles", f"expected each of {', '.join(Channel)}"
-    for file in Grammar.__struct_fields__:
+    """Yield file and fault of what the types cannot say."""
+    yield from _without_slot(grammar)
+    yield from _empty(grammar)
+    yield from _structure(grammar)
+    for file, slots in _SLOTS.items():
         for text in _texts(msgspec.to_builtins(getattr(grammar, file))):
-            yield from ((file, fault) for fault in _faults_of(text))
+            yield from ((file, fault) for fault in _faults_of(text, slots))
     yield from _missing(grammar)
 
 
-def _faults_of(text: str) -> Iterator[str]:
-    unknown = set(_SLOT.findall(text)) - _SLOTS
+def _without_slot(grammar: Grammar) -> Iterator[tuple[str, str]]:
+    """Yield texts that would ask for nothing."""
+    needed: list[tuple[str, str, Iterable[str], str]] = [
+        ("written", "", _all_of(grammar.written), "{do}"),
+        ("languages", "", _all_of(grammar.languages), "{do}"),
+        ("productions", "manner: ", grammar.productions.manner.values(), "{ask}"),
+    ]
+    for channel, style in grammar.styles.items():
+        needed.append(("styles", f"{channel}.settings: ", style.settings, "{body}"))
+    for file, place, sentences, slot in needed:
+        for text in sentences:
+            if text.count(slot) != 1:
+                yield file, f"{place}expected `{slot}` once in `{text[:80]}`"
+
+
+def _empty(grammar: Grammar) -> Iterator[tuple[str, str]]:
+    """Yield lists that an attack is to choose from, and that have nothing."""
+    common = grammar.productions
+    lists: list[tuple[str, str, Collection[object]]] = [
+        ("productions", name, getattr(common, name))
+        for name in ("insistence", "confirmations", "manner", "joining", "arrangement")
+    ]
+    lists += [
+        ("persuasion", name, getattr(grammar.persuasion, name))
+        for name in Persuasion.__struct_fields__
+    ]
+    lists += [
+        ("styles", f"{channel}.{name}", getattr(style, name))
+        for channel, style in grammar.styles.items()
+        for name in ChannelStyle.__struct_fields__
+    ]
+    for file, held in (("claims", grammar.claims), ("written", grammar.written)):
+        for category, families in held.items():
+            for family, sided in families.items():
+                place = f"{category}.{family}"
+                lists.append((file, place, (*sided.any, *sided.against, *sided.same)))
+    for file, place, sentences in lists:
+        if not sentences:
+            yield file, f"{place}: expected at least one sentence"
+
+
+def _structure(grammar: Grammar) -> Iterator[tuple[str, str]]:
+    """Yield what does not fit the other files."""
+    common = grammar.productions
+    if {*grammar.styles} != {*Channel}:
+        yield "styles", f"expected each of {', '.join(Channel)}"
+    if {*common.scenes} != {*Family}:
+        yield "productions", f"scenes: expected each of {', '.join(Family)}"
+    for name, order in common.arrangement.items():
+        if order.count("ask") != 1 or not _SENTENCES.issuperset(order):
+            expected = f"expected `ask` once and any of {', '.join(sorted(_SENTENCES))}"
+            yield "productions", f"arrangement.{name}: {expected}"
+
+
+def _faults_of(text: str, slots: tuple[str, ...]) -> Iterator[str]:
+    unknown = {*_SLOT.findall(text)} - {*slots}
     if unknown:
-        allowed = ", ".join(f"`{slot}`" for slot in sorted(_SLOTS))
-        yield f"nothing is called `{min(unknown)}` in `{text[:80]}`; there are {allowed}"
+        there = (
+            f"there are {', '.join(f'`{slot}`' for slot in slots)}" if slots else "there is none"
+        )
+        yield f"nothing is called `{min(unknown)}` in `{text[:80]}`; {there}"
     elif set(_SLOT.sub("", text)) & set("{}[]"):
         yield f"a bracket is not closed, or has no choice `[a|b]`, in `{text[:80]}`"
 
@@ -232,7 +278,7 @@ def _missing(grammar: Grammar) -> Iterator[tuple[str, str]]:
     for file, held in (("claims", grammar.claims), ("written", grammar.written)):
         for category in held:
             if category not in {COMBINED, EVERY} and not _is_category(category):
-                yield file, f"no category is called `{category}`; `{EVERY}` stands for all"
+                yield file, f"no category is called `{category}`; `{EVERY}` may stand for all"
     if {*grammar.languages} != {*TABLES}:
         yield (
             "languages",
@@ -272,7 +318,12 @@ def _expanded(value: object) -> object:
     if isinstance(value, dict):
         return {key: _expanded(item) for key, item in value.items()}
     if isinstance(value, list):
-        return [text for item in value for text in variants(item)]
+        # what is no text stays, and is refused with its place
+        return [
+            text
+            for item in value
+            for text in (variants(item) if isinstance(item, str) else (item,))
+        ]
     return value
 
 
