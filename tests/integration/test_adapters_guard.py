@@ -11,6 +11,7 @@ import inspect
 import json
 import subprocess
 import threading
+import time
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
@@ -33,7 +34,7 @@ from authguard_r.integrations.functions import (
 from authguard_r.site.source import read_text, read_yaml
 from authguard_r.wire.messages import ClientRole, Mode
 from fixtures import scenarios
-from fixtures.gate_process import AUTHGUARD, RunningGate, until
+from fixtures.gate_process import AUTHGUARD, PATIENCE_S, RunningGate, until
 from fixtures.guarded_tools import (
     SCOPE,
     SIGN,
@@ -526,12 +527,13 @@ def test_two_planners_of_one_tool_at_once_never_have_each_others_beside(robot: C
                 done += told["outcome"] == "succeeded"
             return done
 
-        mine = 0
+        mine, number, end = 0, 0, time.monotonic() + PATIENCE_S
         with ThreadPoolExecutor(1) as pool:
             theirs = pool.submit(meanwhile)
-            try:
-                for number in range(rounds):
-                    with suppress(NotDone):  # the robot is at the other's
+            try:  # on a busy machine all of these rounds may find the robot at the other's
+                while number < rounds or (not mine and time.monotonic() < end):
+                    number += 1
+                    with suppress(NotDone):
                         assert guard.call("scan", {}, beside={"mine": number}) == number
                         mine += 1
             finally:
