@@ -14,6 +14,7 @@ import select
 import signal
 import socket
 import stat
+from collections.abc import Iterator
 from pathlib import Path
 
 from msgspec import Struct
@@ -96,14 +97,11 @@ def end_stop_process(run: Path) -> None:
     """
     with contextlib.suppress(FileNotFoundError, ProcessLookupError, ValueError):
         pid = int((run / PID).read_text())
-        process = os.pidfd_open(pid)
-        try:
+        with _opened(pid) as process:
             for number in (signal.SIGTERM, signal.SIGKILL):
                 signal.pidfd_send_signal(process, number)
                 if is_readable(process, LIMITS.end_s):  # it has ended
                     break
-        finally:
-            os.close(process)
     if is_served(run / SOCKET):
         raise EnvironmentFault(
             "a stop lane serves here and does not end: end it",
@@ -118,13 +116,9 @@ def is_of_gate(run: Path) -> bool:
 
 
 def kill(pid: int) -> None:
-    """Kill a process that hangs, a stopped one, too; no later one that has its number."""
-    with contextlib.suppress(OSError):
-        process = os.pidfd_open(pid)
-        try:
-            signal.pidfd_send_signal(process, signal.SIGKILL)
-        finally:
-            os.close(process)
+    """Kill a process that hangs or was stopped by a signal."""
+    with contextlib.suppress(OSError), _opened(pid) as process:
+        signal.pidfd_send_signal(process, signal.SIGKILL)
 
 
 def await_end(pid: int, within_s: float) -> None:
@@ -134,16 +128,23 @@ def await_end(pid: int, within_s: float) -> None:
         pid: the process.
         within_s: the longest wait, seconds.
     """
-    with contextlib.suppress(ProcessLookupError):  # no process has this number any more
-        process = os.pidfd_open(pid)
-        try:
-            is_readable(process, within_s)
-        finally:
-            os.close(process)
+    # no process has this number any more: it has ended
+    with contextlib.suppress(ProcessLookupError), _opened(pid) as process:
+        is_readable(process, within_s)
+
+
+@contextlib.contextmanager
+def _opened(pid: int) -> Iterator[int]:
+    """Yield a file that stands for this process, and for no later one with its number."""
+    process = os.pidfd_open(pid)
+    try:
+        yield process
+    finally:
+        os.close(process)
 
 
 def is_readable(file: int, within_s: float) -> bool:
-    """True when an open file, whatever its number, has something to read within this time."""
+    """True when an open file has something to read within this time."""
     poll = select.poll()  # `select.select` takes no number above 1023
     poll.register(file, select.POLLIN)
     return bool(poll.poll(within_s * 1_000))

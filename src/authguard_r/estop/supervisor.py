@@ -211,7 +211,8 @@ class EStopSupervisor:
 
     async def _restart(self) -> None:
         """Start it again beside the loop: leases go on being looked at meanwhile."""
-        if self._link is not None and self._link.pid is not None:  # one that is ending takes no new
+        # a process that is ending may still accept a connection
+        if self._link is not None and self._link.pid is not None:
             await asyncio.to_thread(await_end, self._link.pid, LIMITS.stop_within_s)
         for process in self._started:
             process.poll()  # reaps one that ended

@@ -289,7 +289,7 @@ def test_a_lane_that_is_ending_is_not_taken_for_one_that_serves(files: EStopFile
         await_end(pid, PATIENCE_S)  # it is a zombie now, and ended
         held = time.monotonic()
         await_end(os.getpid(), 0.05)
-        assert time.monotonic() - held >= 0.05  # one that lives is waited for, not forever
+        assert time.monotonic() - held >= 0.05  # a living process: the wait has an end
     finally:
         recorder.end()
 

@@ -47,7 +47,7 @@ class Saved(Struct, frozen=True, forbid_unknown_fields=True):
         raw: what the planner wrote.
         refused: it said itself that it will not.
         inputs: what had reached it, channel and text; without it the reply
-            answers the first that asks with its seed, and nobody with other inputs.
+            answers the first inputs that are asked with its seed, and no others.
     """
 
     pair: str
