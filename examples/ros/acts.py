@@ -106,7 +106,7 @@ class Story:
         self._push_back()
         self._under_way("dock", lambda at: at["speed"] > 0.4)
         before = len(stage.deadman.logged())
-        killed_ns = stage.kill_node()
+        killed_ns = stage.node.kill()
         base = robot.next("base", killed_ns)
         robot.next("goal canceled", killed_ns)
         brakes, stands = (robot.next(e, killed_ns) for e in ("goal brakes", "stands"))

@@ -25,7 +25,8 @@ ROBOT = RobotId("courier-1")
 PATIENCE_S = 90.0
 CLI = (sys.executable, "-c", "import sys; from authguard_r.cli import main; sys.exit(main())")
 NODES = "authguard_r.integrations.ros.nodes"
-#: The security of a shell that has one is not the bench's, and neither are its transports.
+#: The security of a shell that has one is not the bench's, and neither are its transports:
+#: each process here shares no memory, as the nodes do by themselves.
 _DROPPED = ("ROS_SECURITY_", "FASTDDS_", "FASTRTPS_")
 
 Line = dict[str, Any]
@@ -58,20 +59,6 @@ def variables(folder: Path) -> dict[str, str]:
         "ROS_STATIC_PEERS": "",
         "ROS_LOG_DIR": str(folder / "log"),
     }
-
-
-def shared_by(pid: int) -> set[Path]:
-    """Return the files of DDS in shared memory that a process has mapped or opened."""
-    here = Path("/proc") / str(pid)
-    named = {line.split()[-1] for line in (here / "maps").read_text().splitlines()}
-    for link in (here / "fd").iterdir():
-        with suppress(OSError):  # closed meanwhile
-            named.add(str(link.readlink()))
-    paths = {Path(name) for name in named if name.startswith("/dev/shm/")}  # noqa: S108
-    mine = {path for path in paths if "fastdds_" in path.name or "fastrtps_" in path.name}
-    # the lock and the semaphore of a segment need not be mapped
-    more = {path.with_name(f"{path.name}_el") for path in mine}
-    return mine | more | {path.with_name(f"sem.{path.name}_mutex") for path in mine}
 
 
 class Actor:
@@ -242,7 +229,6 @@ class Stage:
         self.map = folder / "map.yaml"
         self._at = at
         self._actors: list[Actor] = []
-        self._left: set[Path] = set()
         self.run.mkdir(mode=0o755)
         text = (HERE / "map.yaml").read_text()
         self.map.write_text(text.replace("domain: 42", f"domain: {domain}"))
@@ -344,13 +330,7 @@ class Stage:
         order = sorted(self._actors, key=lambda actor: actor.name == "gate")
         for actor in order:
             actor.end()
-        for path in self._left:
-            path.unlink(missing_ok=True)
 
-    def kill_node(self) -> int:
-        """Kill the gate's node; what it leaves in shared memory is taken away at the end."""
-        self._left |= shared_by(self.node.process.pid)
-        return self.node.kill()
 
 
 def _node(name: str) -> list[str]:

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import os
 import shutil
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -511,3 +513,21 @@ def test_a_middleware_that_keeps_to_no_keystore_is_refused(
     monkeypatch.setattr(process, "get_rmw_implementation_identifier", lambda: "rmw_zenoh_cpp")
     with pytest.raises(EnvironmentFault, match="rmw_zenoh_cpp"), ros_context(ros, "/x"):
         pass
+
+
+def test_a_node_shares_no_memory_unless_it_is_told_to() -> None:
+    """A node that is killed while it holds a lock there would stop the robot seconds late."""
+    program = (
+        "import sys; from pathlib import Path;"
+        "from authguard_r.integrations.ros import made_node, read_map\n"
+        "with made_node('alone', read_map(Path(sys.argv[1])), '/x'):\n"
+        "    print('/dev/shm/' in Path('/proc/self/maps').read_text())"
+    )
+    told: dict[str, str] = {}
+    for transport in ("", "DEFAULT"):
+        env = {k: v for k, v in os.environ.items() if not k.startswith("FASTDDS_")}
+        env |= {"FASTDDS_BUILTIN_TRANSPORTS": transport} if transport else {}
+        words = [sys.executable, "-c", program, str(HERE / "map.yaml")]
+        done = subprocess.run(words, capture_output=True, text=True, env=env, check=True)
+        told[transport] = done.stdout.strip()
+    assert told == {"": "False", "DEFAULT": "True"}
