@@ -25,9 +25,14 @@ ROBOT = RobotId("courier-1")
 PATIENCE_S = 90.0
 CLI = (sys.executable, "-c", "import sys; from authguard_r.cli import main; sys.exit(main())")
 NODES = "authguard_r.integrations.ros.nodes"
-#: The security of a shell that has one is not the bench's, and neither are its transports:
-#: each process here shares no memory, as the nodes do by themselves.
+#: How messages are carried, as on a robot: on this machine alone, without shared memory.
+PROFILE = HERE.parents[1] / "deploy" / "ros" / "loopback.xml"
+#: The security of a shell that has one is not the bench's, and neither are its transports.
 _DROPPED = ("ROS_SECURITY_", "FASTDDS_", "FASTRTPS_")
+
+#: Set: the story was told to end. A signal's handler raises nothing: a process that is just being
+#: started would be left behind.
+OVER = threading.Event()
 
 Line = dict[str, Any]
 
@@ -40,10 +45,12 @@ def until(holds: Callable[[], Any], what: str) -> Any:
     """Return the first true answer.
 
     Raises:
-        StageError: there was none in time.
+        StageError: there was none in time, or the story was told to end.
     """
     end = time.monotonic() + PATIENCE_S
     while not (answer := holds()):
+        if OVER.is_set():
+            raise StageError("a signal told it to end")
         if time.monotonic() > end:
             raise StageError(f"{what} did not happen within {PATIENCE_S:.0f} s")
         time.sleep(0.02)
@@ -55,7 +62,8 @@ def variables(folder: Path) -> dict[str, str]:
     kept = {k: v for k, v in os.environ.items() if not k.startswith(_DROPPED)}
     return {
         **kept,
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
+        "FASTDDS_DEFAULT_PROFILES_FILE": str(PROFILE),
         "ROS_STATIC_PEERS": "",
         "ROS_LOG_DIR": str(folder / "log"),
     }
@@ -330,7 +338,6 @@ class Stage:
         order = sorted(self._actors, key=lambda actor: actor.name == "gate")
         for actor in order:
             actor.end()
-
 
 
 def _node(name: str) -> list[str]:

@@ -180,12 +180,12 @@ def main(words: Sequence[str] | None = None) -> int:
     if lacks := missing():
         sys.stderr.write("not installed:\n  " + "\n  ".join(lacks) + "\n")
         return 2
-    from stage import StageError
+    from stage import OVER, StageError
 
     from authguard_r import AuthGuardError
 
     for number in (signal.SIGINT, signal.SIGTERM):  # what was started is ended first
-        signal.signal(number, lambda *_: sys.exit(1))
+        signal.signal(number, lambda *_: OVER.set())
     folder = given.keep or Path(tempfile.mkdtemp(prefix="authguard-story-"))
     domain = os.getpid() % 102 if given.domain is None else given.domain
     try:

@@ -53,12 +53,17 @@ from authguard_r.keys.trust import read_trust
 from authguard_r.site.source import read_site
 from fixtures import scenarios
 from fixtures.gate_process import RunningGate, environment, module, until
+from fixtures.ros_processes import TRANSPORT
 from ros.hospital import HERE
 
 #: Bound against hanging, in seconds; nothing is measured against it.
 PATIENCE_S = 20.0
 NODE = tuple(module("authguard_r.integrations.ros.nodes.node"))
 _domains = itertools.count(1 + os.getpid() % 90)
+SHORT_LEASE = (
+    "<discovery_config><leaseDuration><sec>2</sec></leaseDuration><leaseAnnouncement>"
+    "<sec>0</sec><nanosec>500000000</nanosec></leaseAnnouncement></discovery_config>"
+)
 
 
 class Peer:
@@ -537,7 +542,7 @@ class Graph:
         env = {
             **environment(measured=False),
             "PYTHONPATH": os.pathsep.join(sys.path),
-            "FASTDDS_DEFAULT_PROFILES_FILE": str(HERE / "short-lease.xml"),
+            "FASTDDS_DEFAULT_PROFILES_FILE": str(self._short_lease()),
         }
         process = subprocess.Popen(
             words, stdout=subprocess.PIPE, text=True, env=env, cwd=scenarios.ROOT
@@ -546,6 +551,13 @@ class Graph:
         assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"
         return process
+
+    def _short_lease(self) -> Path:
+        """Return the deployed profile, but others take its process for gone after two seconds."""
+        text = Path(TRANSPORT["FASTDDS_DEFAULT_PROFILES_FILE"]).read_text(encoding="utf-8")
+        path = self.folder / "short-lease.xml"
+        path.write_text(text.replace("<builtin>", f"<builtin>{SHORT_LEASE}", 1), encoding="utf-8")
+        return path
 
     def terminate(self) -> int:
         """End the node as a service manager does; return its exit code."""

@@ -43,6 +43,7 @@ from authguard_r.keys.trust import read_trust
 from authguard_r.wire.messages import ClientRole
 from fixtures import scenarios
 from fixtures.gate_process import RunningGate, until
+from fixtures.ros_processes import TRANSPORT
 from ros.graph import PATIENCE_S, Goal, Graph, Planner, graph_of
 from ros.hospital import HERE, SHOWN, hospital
 from ros.shared_graph import SharedGate, SharedGraph
@@ -515,19 +516,21 @@ def test_a_middleware_that_keeps_to_no_keystore_is_refused(
         pass
 
 
-def test_a_node_shares_no_memory_unless_it_is_told_to() -> None:
+def test_a_robots_processes_share_no_memory_with_the_profile_that_is_deployed() -> None:
     """A node that is killed while it holds a lock there would stop the robot seconds late."""
     program = (
         "import sys; from pathlib import Path;"
         "from authguard_r.integrations.ros import made_node, read_map\n"
         "with made_node('alone', read_map(Path(sys.argv[1])), '/x'):\n"
-        "    print('/dev/shm/' in Path('/proc/self/maps').read_text())"
+        "    print('/dev/shm/fastdds_' in Path('/proc/self/maps').read_text())"
     )
-    told: dict[str, str] = {}
-    for transport in ("", "DEFAULT"):
-        env = {k: v for k, v in os.environ.items() if not k.startswith("FASTDDS_")}
-        env |= {"FASTDDS_BUILTIN_TRANSPORTS": transport} if transport else {}
+    without = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    # the range wins: this setting is not enough
+    builtin = without | {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
+    told: list[str] = []
+    for more in (TRANSPORT, without, builtin):
+        env = {k: v for k, v in os.environ.items() if not k.startswith("FASTDDS_")} | more
         words = [sys.executable, "-c", program, str(HERE / "map.yaml")]
         done = subprocess.run(words, capture_output=True, text=True, env=env, check=True)
-        told[transport] = done.stdout.strip()
-    assert told == {"": "False", "DEFAULT": "True"}
+        told.append(done.stdout.strip())
+    assert told == ["False", "True", "True"]

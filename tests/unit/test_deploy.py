@@ -233,7 +233,12 @@ def test_what_stops_a_robot_on_ros_outlives_the_gates_node() -> None:
 def test_the_processes_on_ros_start_with_security_exactly_as_they_want_it(tmp_path: Path) -> None:
     from authguard_r.integrations.ros.keystore import make_keystore
     from authguard_r.integrations.ros.map import read_map
-    from authguard_r.integrations.ros.security import KEYSTORE, OVERRIDE, security_faults
+    from authguard_r.integrations.ros.security import (
+        KEYSTORE,
+        OVERRIDE,
+        PROFILES,
+        security_faults,
+    )
 
     for name in ON_ROS:
         assert ros_unit(name)["EnvironmentFile"] == ["/etc/authguard-r/%i/ros.env"]
@@ -248,6 +253,11 @@ def test_the_processes_on_ros_start_with_security_exactly_as_they_want_it(tmp_pa
     assert told[KEYSTORE] == "/etc/authguard-r/courier-1/keystore"
     assert OVERRIDE not in told
     told[KEYSTORE] = str(tmp_path / "keystore")
+    # `LOCALHOST` adds shared memory whatever the profile says
+    assert told["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SYSTEM_DEFAULT"
+    for profile in PROFILES:
+        assert told[profile] == "/etc/authguard-r/courier-1/loopback.xml"
+        told[profile] = str(DEPLOY / "ros" / "loopback.xml")
     ours = (ros.enclaves.gate, ros.enclaves.deadman, ros.enclaves.estimator)
     for enclave in (*ours, "/robot/base"):
         assert list(security_faults(ros, enclave, told)) == []

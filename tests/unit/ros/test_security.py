@@ -71,6 +71,8 @@ def test_l7_a_wrong_word_is_a_refusal_and_not_a_plain_node(made: Path) -> None:
         ("ROS_DOMAIN_ID", None),
         ("ROS_DOMAIN_ID", "0"),
         ("ROS_DOMAIN_ID", "042"),
+        ("FASTDDS_DEFAULT_PROFILES_FILE", "/nowhere.xml"),
+        ("FASTRTPS_DEFAULT_PROFILES_FILE", ""),
     ]:
         with case(name, value):
             with pytest.raises(EnvironmentFault, match="a node that anybody can be") as failed:

@@ -29,6 +29,8 @@ SECURED = (
     "rmw_cyclonedds_cpp",
     "rmw_connextdds",
 )
+#: A file of Fast DDS that says how messages are carried; it passes over one that it cannot read.
+PROFILES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
 #: The only words that ROS 2 takes for security that is enforced.
 EXACTLY = {ENABLE: "true", STRATEGY: "Enforce"}
 
@@ -74,6 +76,9 @@ def security_faults(
         yield _fault(RMW, f"expected one of {wanted} or nothing, got `{environment[RMW]}`")
     if environment.get(OVERRIDE, enclave) != enclave:
         yield _fault(OVERRIDE, f"expected `{enclave}` or nothing, got `{environment[OVERRIDE]}`")
+    for name in PROFILES:
+        if name in environment and not os.access(environment[name], os.R_OK):
+            yield _fault(name, f"expected a file that can be read, got `{environment[name]}`")
     keystore = environment.get(KEYSTORE, "")
     if not keystore.startswith("/"):
         yield _fault(KEYSTORE, f"expected an absolute path, got `{keystore}`")

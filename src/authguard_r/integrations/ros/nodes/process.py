@@ -37,9 +37,6 @@ WRONG = 2
 DEMO = "--demo"
 #: A signal is looked for after so long at the latest, in seconds.
 LOOK_S = 0.1
-#: How Fast DDS carries messages, unless the environment says how. A process that is killed while it
-#: holds a lock of shared memory leaves it locked: the robot that waits for it stops seconds late.
-TRANSPORT = ("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
 
 
 class NodeCleanup(Protocol):
@@ -173,12 +170,11 @@ def made_node(name: str, ros: RosMap, enclave: str) -> Iterator[Node]:
 
 @contextmanager
 def ros_context(ros: RosMap, enclave: str) -> Iterator[Context]:
-    """Yield a place in ROS: the map's domain, and an enclave; it shares no memory by itself.
+    """Yield a place in ROS: the map's domain, and an enclave.
 
     Raises:
         EnvironmentFault: ROS 2 makes none, or took a middleware that keeps to no keystore.
     """
-    os.environ.setdefault(*TRANSPORT)
     context = Context()
     if ENABLE in os.environ and (loaded := get_rmw_implementation_identifier()) not in SECURED:
         raise EnvironmentFault(
