@@ -14,7 +14,7 @@ import tarfile
 import zlib
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
-from typing import BinaryIO, NamedTuple
+from typing import NamedTuple
 
 #: Bytes of one file, of all files, and how many files there may be.
 MEMBER_BYTES, SOURCE_BYTES, SOURCE_FILES = 8 << 20, 4 << 30, 200_000
@@ -141,8 +141,7 @@ def _cannot_be_read(error: OSError) -> None:
 
 def _read(path: Path) -> bytes:
     try:
-        file: BinaryIO
-        with path.open("rb", opener=lambda name, flags: os.open(name, flags | os.O_NOFOLLOW)) as file:
+        with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
             data = file.read(MEMBER_BYTES + 1)
     except OSError as error:
         raise SourceError(f"cannot be read: {error.strerror}", where=str(path)) from error
