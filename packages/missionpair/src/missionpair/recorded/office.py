@@ -255,6 +255,11 @@ class Office:
         self._places = _Spellings(suite.places, suite.prefixes)
         self._things = _Spellings(suite.things, suite.prefixes)
 
+    def parts_of(self, task: str) -> tuple[TaskModel, ...]:
+        """Return the tasks that a task consists of, itself the last."""
+        model = self.suite.tasks[task]
+        return (*(self.suite.tasks[name] for name in model.joins), model)
+
     def changes(self, call: OfficeCall) -> bool:
         """Return whether a call changes something, rather than reads."""
         tool = self.suite.tools.get(call.tool)
@@ -265,7 +270,7 @@ class Office:
 
         A tool that only reads is the task's own where the task's published solution uses it.
         """
-        parts = self._parts(self.suite.tasks[task])
+        parts = self.parts_of(task)
         if not self.changes(call) and any(call.tool in part.uses for part in parts):
             return False
         if any(_is_met(goal, call) for part in parts for goal in part.own):
@@ -324,7 +329,7 @@ class Office:
             categories=(Category.GOAL,),
             family=Family.DESTINATION_CHANGE,
             channels=(Channel.DOCUMENT,),
-            missions={"v1": self._draft(name, task)},
+            missions={"v1": self._draft(name)},
             task=task.task,
             benign=begun,
             attack=begun,
@@ -334,13 +339,13 @@ class Office:
             reasons=(),
         )
 
-    def _draft(self, name: str, task: TaskModel) -> Draft:
-        grants = [*self._reads(task), *self._writes(task)]
+    def _draft(self, name: str) -> Draft:
+        grants = [*self._reads(name), *self._writes(name)]
         return {
             "mission": f"{self.layout.id}-{name}".replace("_", "-"),
             "robot": ROBOT,
             "issuer": "operator-1",
-            "task": task.task,
+            "task": self.suite.tasks[name].task,
             "window": {"for": "4 h"},
             "place_max_age": "10 s",
             "guards": [],
@@ -359,20 +364,17 @@ class Office:
             "risk_policy": risk(),
         }
 
-    def _parts(self, task: TaskModel) -> tuple[TaskModel, ...]:
-        return (*(self.suite.tasks[name] for name in task.joins), task)
-
-    def _reads(self, task: TaskModel) -> Iterator[Draft]:
+    def _reads(self, name: str) -> Iterator[Draft]:
         """Yield a grant for each read-only tool of the groups that the task reads."""
-        groups = {group for part in self._parts(task) for group in part.reads}
-        for name, tool in self.suite.tools.items():
+        groups = {group for part in self.parts_of(name) for group in part.reads}
+        for tool_name, tool in self.suite.tools.items():
             if tool.group in groups and tool.effect == "reads":
                 objects = self.suite.own if tool.object else ()
-                allowed = Allowed(tool=name, objects=objects, times=READS)
-                yield self._grant(f"read-{name}", allowed)
+                allowed = Allowed(tool=tool_name, objects=objects, times=READS)
+                yield self._grant(f"read-{tool_name}", allowed)
 
-    def _writes(self, task: TaskModel) -> Iterator[Draft]:
-        allows = (allowed for part in self._parts(task) for allowed in part.allows)
+    def _writes(self, name: str) -> Iterator[Draft]:
+        allows = (allowed for part in self.parts_of(name) for allowed in part.allows)
         for number, allowed in enumerate(allows, 1):
             yield self._grant(f"do-{number}", allowed)
 
