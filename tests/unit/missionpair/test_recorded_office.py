@@ -45,7 +45,7 @@ def allowed_call(office: Office, allowed: Allowed) -> OfficeCall:
     """Return a call of what a task may do: the first of each alternative, in its own spelling."""
     suite = office.suite
     tool = suite.tools[allowed.tool]
-    arguments: dict[str, Any] = {name: "text" for name in (*tool.texts, *tool.links)}
+    arguments: dict[str, Any] = dict.fromkeys((*tool.texts, *tool.links), "text")
     if allowed.objects:
         thing = allowed.objects[0]
         arguments[tool.object] = [*suite.things[thing], thing][0]
@@ -63,13 +63,14 @@ def allowed_call(office: Office, allowed: Allowed) -> OfficeCall:
 def attacks_call(office: Office, goal: Goal) -> OfficeCall:
     """Return a call that an attack asks for, with every argument that its tool can have."""
     tool = office.suite.tools[goal.tool]
-    arguments: dict[str, Any] = {name: "text" for name in (*tool.texts, *tool.links)}
-    arguments |= {argument: 1.0 for argument in tool.amounts.values()}
+    arguments: dict[str, Any] = dict.fromkeys((*tool.texts, *tool.links), "text")
+    arguments |= dict.fromkeys(tool.amounts.values(), 1.0)
     if tool.object and tool.object not in tool.defaults:
         arguments[tool.object] = "something"
     if tool.to and tool.to[0] not in tool.defaults:
         arguments[tool.to[0]] = "somebody"
-    return OfficeCall(goal.tool, arguments | dict(goal.where))
+    asked = {k: f"www.{v}.com" if k in tool.links else v for k, v in goal.where.items()}
+    return OfficeCall(goal.tool, arguments | asked)
 
 
 def tasks() -> Iterator[Any]:
@@ -85,7 +86,7 @@ def test_every_task_of_the_benchmark_has_a_mission(offices: dict[str, Office]) -
     assert attacks == {"banking": 9, "slack": 5, "travel": 7, "workspace": 6}
 
 
-@pytest.mark.parametrize(("name", "task"), tasks())
+@pytest.mark.parametrize(("name", "task"), [*tasks()])
 def test_what_a_task_allows_runs_and_what_its_attacks_change_does_not(
     offices: dict[str, Office], yard: Yard, name: str, task: str
 ) -> None:
@@ -117,7 +118,8 @@ def test_a_payment_is_held_to_its_account_its_amount_and_once(
         return defense.carry_out(stage, office.plan(call)).reasons
 
     assert "DESTINATION_OUT_OF_SCOPE" in refused(recipient="US133000000121212121212")
-    assert "DESTINATION_OUT_OF_SCOPE" in refused(recipient=None)
+    assert refused(recipient=None) == ("VALUE_INVALID",)
+    assert "PARAMETER_MISSING" in refused(amount=None)
     assert "PARAMETER_OUT_OF_BOUNDS" in refused(amount=98.71)
     assert "PARAMETER_OUT_OF_BOUNDS" in refused(amount=-98.7)
     assert refused(amount="98.7") == ("VALUE_INVALID",)

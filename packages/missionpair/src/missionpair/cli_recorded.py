@@ -20,9 +20,7 @@ from missionpair.recorded.tables import Replay, lines, plain
 #: What recorded runs are judged by, where nothing else is said.
 DEFENSES = (NONE, "allowlist", "cedar", "both")
 
-imports = typer.Typer(
-    name="import", help="Read what models did elsewhere.", no_args_is_help=True
-)
+imports = typer.Typer(name="import", help="Read what models did elsewhere.", no_args_is_help=True)
 
 
 @imports.command("agentdojo")
@@ -62,7 +60,8 @@ def recorded_command(
         typer.Option("--defense", help="none, allowlist, cedar, both ...; may be repeated."),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("--out", help="A new file: every leak and refusal with its cause.")
+        Path | None,
+        typer.Option("--out", help="A new file: every leak and refusal with its cause."),
     ] = None,
     jobs: Annotated[int, typer.Option("--jobs", min=1, help="How many processes.")] = 1,
     as_json: Annotated[

@@ -60,10 +60,9 @@ def fault_of(error: Exception) -> CommandFault:
     match error:
         case SpecificationError():
             return CommandFault("USAGE", str(error), "", USAGE)
-        case SourceError():
-            return CommandFault("SOURCE_BROKEN", error.message, error.where, UNREADABLE)
-        case SuiteError() | StageError():
-            return CommandFault("SUITE_BROKEN", error.message, error.where, UNREADABLE)
+        case SourceError() | SuiteError() | StageError():
+            code = "SOURCE_BROKEN" if isinstance(error, SourceError) else "SUITE_BROKEN"
+            return CommandFault(code, error.message, error.where, UNREADABLE)
         case LogError(is_here=True):
             return CommandFault("LOG_UNAVAILABLE", error.message, error.where, HERE)
         case LogError():

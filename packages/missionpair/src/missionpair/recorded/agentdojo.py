@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs of AgentDojo as its source distribution holds them: what a model called, and what came of it.
+"""Runs of AgentDojo, as its source distribution holds them: what a model called, and the result.
 
 Read are the calls that were carried out, and the two verdicts of its authors: the task was done,
 and the attack landed. Nothing is executed, and the package is not imported.

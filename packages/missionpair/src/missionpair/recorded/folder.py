@@ -81,7 +81,7 @@ def _write_runs(source: Path, out: Path, show: Callable[[int], None]) -> Source:
     count, attacked, landed, pipelines = 0, 0, 0, set[str]()
     digest = sha256()
     with (out / RUNS_FILE).open("wb") as file:
-        for count, run in enumerate(runs_of(source), 1):  # noqa: B007 - it is the number at the end
+        for count, run in enumerate(runs_of(source), 1):
             line = msgspec.json.encode(run) + b"\n"
             file.write(line)
             digest.update(line)
@@ -137,7 +137,9 @@ def read_source(folder: Path) -> Source:
         text = f"cannot be read: {error.strerror}; make it with `missionpair import agentdojo`"
         raise SourceError(text, where=str(path)) from error
     except msgspec.DecodeError as error:
-        raise SourceError(f"is no description of imported runs: {error}", where=str(path)) from error
+        raise SourceError(
+            f"is no description of imported runs: {error}", where=str(path)
+        ) from error
     if found.format != FORMAT:
         raise SourceError(f"is of the format `{found.format}`, not `{FORMAT}`", where=str(path))
     return found

@@ -199,13 +199,11 @@ def _profile(suite: SuiteModel) -> dict[str, Any]:
 def _kind(tool: ToolModel) -> dict[str, Any]:
     fields = ["destination", "route"] if tool.to else []
     fields += ["object"] if tool.object else []
-    words = {
-        f"{argument}_no": {**_AMOUNT, "required": True} for argument in tool.words
-    }
+    words = {f"{argument}_no": {**_AMOUNT, "required": True} for argument in tool.words}
     links = {f"{LINKS}_count": {**_AMOUNT, "required": True}} if tool.links else {}
     return {
         "fields": sorted(fields),
-        "params": {**{name: _AMOUNT for name in tool.amounts}, **words, **links},
+        "params": {**dict.fromkeys(tool.amounts, _AMOUNT), **words, **links},
         "privacy": 0,
     }
 
@@ -216,7 +214,9 @@ def _bound(name: str, tool: ToolModel) -> dict[str, Any]:
         arguments[tool.object] = {"use": "mapped", "to": "object"}
     if tool.to:
         arguments["to"] = {
-            "use": "mapped", "to": "stops", "each": {"place": {"use": "mapped", "to": "region"}}
+            "use": "mapped",
+            "to": "stops",
+            "each": {"place": {"use": "mapped", "to": "region"}},
         }
     for parameter, argument in tool.amounts.items():
         to = f"params.{parameter}"
@@ -302,7 +302,9 @@ class Office:
             arguments[tool.object] = self._things.id_of(arguments[tool.object])
         if tool.links:
             texts = (str(arguments.get(name, "")) for name in tool.links)
-            arguments[LINKS] = sum(self._is_foreign(link) for t in texts for link in _LINK.findall(t))
+            arguments[LINKS] = sum(
+                self._is_foreign(link) for t in texts for link in _LINK.findall(t)
+            )
         for argument in tool.words:
             word = str(arguments.get(argument, ""))
             arguments[argument] = word if word in tool.words[argument] else UNKNOWN

@@ -82,7 +82,9 @@ class OfficeReplay:
     def replay(self, runs: Iterable[RecordedRun], names: tuple[str, ...]) -> Iterator[ReplayedRun]:
         """Yield each run under each defense."""
         for run in runs:
-            bad = tuple(self.office.is_the_attacks(call, run.task, run.attack) for call in run.calls)
+            bad = tuple(
+                self.office.is_the_attacks(call, run.task, run.attack) for call in run.calls
+            )
             changes = tuple(self.office.changes(call) for call in run.calls)
             for name in names:
                 refused = self._refused(name, run)
