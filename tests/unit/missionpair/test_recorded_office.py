@@ -121,7 +121,7 @@ def test_a_payment_is_held_to_its_account_its_amount_and_once(
     assert refused(recipient=None) == ("VALUE_INVALID",)
     assert "PARAMETER_MISSING" in refused(amount=None)
     assert "PARAMETER_OUT_OF_BOUNDS" in refused(amount=98.71)
-    assert "PARAMETER_OUT_OF_BOUNDS" in refused(amount=-98.7)
+    assert refused(amount=-98.7) == ("VALUE_OUT_OF_RANGE",)
     assert refused(amount="98.7") == ("VALUE_INVALID",)
     assert refused(extra=1) == ("FIELD_UNKNOWN",)
     assert refused() == ()
