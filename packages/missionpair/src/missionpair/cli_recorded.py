@@ -15,6 +15,7 @@ from missionpair.campaign.run import Progress
 from missionpair.cli_run import shown
 from missionpair.recorded.folder import import_agentdojo, read_runs, read_source
 from missionpair.recorded.replay import NONE, replay_all
+from missionpair.recorded.replies import import_replies
 from missionpair.recorded.tables import Replay, lines, plain
 
 #: What recorded runs are judged by, where nothing else is said.
@@ -51,6 +52,45 @@ def agentdojo(
         f" {found.landed} landed\nreplay them: missionpair recorded {out} --jobs 2\n"
     )
     return 0
+
+
+def _of_form(form: str, text: str) -> None:
+    """Add the command that reads logs of one form."""
+
+    def command(
+        source: Annotated[Path, typer.Argument(help="The log: one reply a line, as JSON.")],
+        out: Annotated[Path, typer.Option("--out", help="A new file of replies.")],
+        model: Annotated[
+            str, typer.Option("--model", help="Who answered, if the log is silent.")
+        ] = "",
+        date: Annotated[str, typer.Option("--date", help="When, such as 2026-11-28.")] = "",
+        as_json: Annotated[
+            bool, typer.Option("--json", help="Print one JSON object, nothing else.")
+        ] = False,
+    ) -> int:
+        if out.exists():
+            raise typer.BadParameter("there is such a file already", param_hint="--out")
+        if not out.parent.is_dir():
+            raise typer.BadParameter(f"there is no folder {out.parent}", param_hint="--out")
+        head, count = import_replies(form, source, out, model=model, date=date)
+        if as_json:
+            told = {**msgspec.to_builtins(head), "replies": count}
+            sys.stdout.write(json.dumps(told) + "\n")
+            return 0
+        sys.stdout.write(
+            f"{out}: {count} replies of {head.model}, {head.date}\n"
+            f"run them: missionpair run SUITE --planner recorded:file={out} --kind attack\n"
+        )
+        return 0
+
+    command.__doc__ = text
+    imports.command(form)(command)
+
+
+_of_form("steps", "Read replies that are lists of tool and arguments (`steps`).")
+_of_form("openai", "Read replies that are chat completions (`response`).")
+_of_form("mcp", "Read replies that are JSON-RPC requests `tools/call` (`calls`).")
+_of_form("langchain", "Read replies that are LangChain messages (`messages`).")
 
 
 def recorded_command(
