@@ -44,6 +44,8 @@ class Briefing(Struct, frozen=True, kw_only=True):
         turns: what it answered before, oldest first.
         usual: what an undisturbed planner would call: for planners that simulate one, and shown to
             no model.
+        trial: which trial of a campaign it is (pair, kind, round from 0): for planners that answer
+            from a record, and shown to no model.
     """
 
     rules: str
@@ -55,6 +57,7 @@ class Briefing(Struct, frozen=True, kw_only=True):
     inputs: tuple[Input, ...] = ()
     turns: tuple[EarlierTurn, ...] = ()
     usual: tuple[WordedCall, ...] = ()
+    trial: tuple[str, str, int] | None = None
 
 
 class Reply(Struct, frozen=True, kw_only=True):
@@ -96,8 +99,9 @@ class PlannerError(Exception):
     """A planner that cannot be reached or does not answer as its protocol says.
 
     Args:
-        code: `unreachable`, `refused`, `protocol`, `limit` or `cost`; of what cannot even be made
-            `usage`, an option is wrong, or `file` or `log`, what it reads is not as it has to be.
+        code: `unreachable`, `refused`, `protocol`, `limit` or `cost`; `ended`, a record has no
+            further round; of what cannot even be made `usage`, an option is wrong, or `file` or
+            `log`, what it reads is not as it has to be.
         message: what happened, and what to do.
         where: the server or the option.
     """

@@ -24,6 +24,7 @@ from missionpair.bench import Bench, make_bench
 from missionpair.cli_live import live_command
 from missionpair.cli_mutate import mutate_command
 from missionpair.cli_perceive import perceive_command
+from missionpair.cli_recorded import imports, recorded_command
 from missionpair.cli_report import compare, report
 from missionpair.cli_require import require
 from missionpair.cli_run import list_command, run_command
@@ -118,6 +119,8 @@ app.command("compare")(compare)
 app.command("require")(require)
 app.command("mutate")(mutate_command)
 app.command("perceive")(perceive_command)
+app.command("recorded")(recorded_command)
+app.add_typer(imports)
 
 
 def run_suite(bench: Bench) -> list[MeasuredTrial]:

@@ -14,6 +14,7 @@ from missionpair.attackers import AttackerError
 from missionpair.briefing import PlannerError
 from missionpair.campaign.log import LogError
 from missionpair.perception import PerceptionError
+from missionpair.recorded.archive import SourceError
 from missionpair.registry import SpecificationError
 from missionpair.stage import StageError
 from missionpair.suites import SuiteError
@@ -27,6 +28,7 @@ FAULTS = (
     OSError,
     PerceptionError,
     PlannerError,
+    SourceError,
     SpecificationError,
     StageError,
     SuiteError,
@@ -58,8 +60,9 @@ def fault_of(error: Exception) -> CommandFault:
     match error:
         case SpecificationError():
             return CommandFault("USAGE", str(error), "", USAGE)
-        case SuiteError() | StageError():
-            return CommandFault("SUITE_BROKEN", error.message, error.where, UNREADABLE)
+        case SourceError() | SuiteError() | StageError():
+            code = "SOURCE_BROKEN" if isinstance(error, SourceError) else "SUITE_BROKEN"
+            return CommandFault(code, error.message, error.where, UNREADABLE)
         case LogError(is_here=True):
             return CommandFault("LOG_UNAVAILABLE", error.message, error.where, HERE)
         case LogError():

@@ -59,6 +59,7 @@ class Campaign(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, ta
         suite_digest: of its canonical bytes.
         pairs: how many of its pairs were taken, from the first.
         every: of which one was taken each time: 10 took the first, the eleventh, and so on.
+        skipped: how many of those were left out, because a recorded planner has no reply to them.
         planner: the target.
         attacker: who writes the inputs.
         access: what the attacker sees.
@@ -94,6 +95,7 @@ class Campaign(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, ta
     trials: int
     version: str
     every: int = 1
+    skipped: int = 0
     field_weights: dict[str, int] = {}
     qualified: tuple[Qualified, ...] = ()
 

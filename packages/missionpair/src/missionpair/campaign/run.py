@@ -168,6 +168,7 @@ def campaign_of(worker: Worker, qualified: tuple[Qualified, ...] = ()) -> Campai
         suite_digest=worker.digest,
         pairs=pairs,
         every=plan.every,
+        skipped=worker.skipped,
         planner=_named(setting.planner, plan.planner),
         attacker=_named(setting.attacker, plan.attacker),
         access=str(plan.access),

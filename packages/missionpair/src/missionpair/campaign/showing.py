@@ -36,7 +36,11 @@ RULES = "Carry out the task, and nothing else. Say what to do next from where th
 
 
 def briefing_of(
-    stage: Stage, *, turns: tuple[EarlierTurn, ...], usual: tuple[WordedCall, ...]
+    stage: Stage,
+    *,
+    turns: tuple[EarlierTurn, ...],
+    usual: tuple[WordedCall, ...],
+    trial: tuple[str, str, int] | None = None,
 ) -> Briefing:
     """Return what the planner is shown in a situation.
 
@@ -44,6 +48,7 @@ def briefing_of(
         stage: the situation, with the inputs that reached the planner.
         turns: what it answered before.
         usual: what an undisturbed planner would call; for stand-ins alone.
+        trial: pair, kind and round; for planners that answer from a record.
     """
     places, things, tools = _offered(stage)
     return Briefing(
@@ -56,6 +61,7 @@ def briefing_of(
         inputs=stage.inputs,
         turns=turns,
         usual=usual,
+        trial=trial,
     )
 
 

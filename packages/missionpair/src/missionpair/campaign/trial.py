@@ -45,6 +45,8 @@ from missionpair.words import ATTACKED, Access, TrialKind
 _OVER = frozenset({"closing", "completed"})
 #: Failures that no later trial would be without: they end the campaign, which can be gone on with.
 FINAL = frozenset({"cost", "limit", "refused"})
+#: Of a planner that answers from a record: it has no further round.
+ENDED = "ended"
 #: A trial's seed has so many bits; those above say which turn it is, those below move with rounds.
 _TURN_BITS = 48
 #: Answers that a planner has in a round at most: seeds stay whole numbers of JSON.
@@ -183,7 +185,10 @@ class PairRun:
         except (PlannerError, AttackerError) as failed:
             if failed.code in FINAL:
                 raise
-            error, self.failure = f"{failed.where}: {failed.message}", failed
+            if failed.code == ENDED and tries:  # a record has so many rounds, and no more
+                self.failure = None
+            else:
+                error, self.failure = f"{failed.where}: {failed.message}", failed
             tries = [one for one in tries if one.failure is None or one.effects]
         else:
             self.failure = None
@@ -222,7 +227,7 @@ class PairRun:
             asks = dice.kind is TrialKind.ATTACK and not is_last and not gave_up
             is_heard = asks or (dice.kind in ATTACKED and self._learns(dice))
             thrown = replace(dice, seed=dice.seed + number)
-            tried = self._round(stage, thrown, spent, is_heard=is_heard)
+            tried = self._round(stage, thrown, spent, number=number, is_heard=is_heard)
             points = score(tried.checked, setting.weights)
             tried.record = round_of(inputs, tried, points)
             yield tried
@@ -236,24 +241,28 @@ class PairRun:
             gave_up = following is None
             inputs = inputs if following is None else following
 
-    def _round(self, stage: Stage, dice: Dice, spent: TrialCosts, *, is_heard: bool) -> TrialRecord:
+    def _round(
+        self, stage: Stage, dice: Dice, spent: TrialCosts, *, number: int, is_heard: bool
+    ) -> TrialRecord:
         """Let the planner answer, as often as it may, until its plan is carried out.
 
         Args:
             stage: the situation.
             dice: which trial it is.
             spent: what it took so far.
+            number: the round's, from 0.
             is_heard: somebody is told of the round.
         """
         usual = self._usual(dice.kind, stage)
         tried, most = TrialRecord(), self._setting.turns
         turns: tuple[EarlierTurn, ...] = ()
-        for number in range(most):
-            briefing = briefing_of(stage, turns=turns, usual=usual)
-            seed = dice.seed + (number << _TURN_BITS)
+        which = (self._pair.id, str(dice.kind), number)
+        for turn in range(most):
+            briefing = briefing_of(stage, turns=turns, usual=usual, trial=which)
+            seed = dice.seed + (turn << _TURN_BITS)
             reply = self._answered(dice.defense.brief(briefing), dice, seed, spent)
             at = perf_counter_ns()
-            checked = (check if number else check_first)(stage, reply.raw)
+            checked = (check if turn else check_first)(stage, reply.raw)
             spent.judging += _us(at)
             found = self._gate_findings(dice, stage, checked) if is_heard else ()
             at = perf_counter_ns()
@@ -261,11 +270,7 @@ class PairRun:
             add(spent, carried, _us(at))
             note(tried, reply, checked, carried, found)
             tried.failure = getattr(dice.defense, "failure", None)
-            if (
-                tried.failure is not None
-                or number == most - 1
-                or self._is_over(dice, tried, checked)
-            ):
+            if tried.failure is not None or turn == most - 1 or self._is_over(dice, tried, checked):
                 break
             turns = (*turns, EarlierTurn(reply.raw.decode(errors="replace"), carried.told))
         return tried

@@ -15,9 +15,10 @@ from missionpair.campaign.arms import is_asked
 from missionpair.campaign.plan import CampaignPlan
 from missionpair.campaign.trial import PairRun, Setting, Who
 from missionpair.defenses import Defense, DefenseError
-from missionpair.pair import Suite
+from missionpair.pair import Pair, Suite
 from missionpair.records import Trial
 from missionpair.stage import Yard
+from missionpair.words import TrialKind
 
 #: Held by the thread that works.
 ONE = Lock()
@@ -52,7 +53,6 @@ class Worker:
     ) -> None:
         self.plan = plan
         self.suite, self.digest = suite
-        self.pairs = plan.taken(self.suite.pairs)
         self._live = live
         #: Trials below this number are in the log.
         self.done = 0
@@ -60,6 +60,10 @@ class Worker:
         self.held: frozenset[str] = frozenset()
         self._writer: Attacker | None = None
         self.setting = self._made()
+        taken = plan.taken(self.suite.pairs)
+        #: Those that are tried; a planner that answers from a record knows some of them alone.
+        self.pairs = known_to(self.setting.planner, taken, plan.kinds)
+        self.skipped = len(taken) - len(self.pairs)
         #: The time of a planner is waiting, not computing.
         self.is_live = is_asked(self.setting.planner)
         if self.is_live:
@@ -118,6 +122,24 @@ class Worker:
         attacker = self._writer or registry.make(attackers, self.plan.attacker)
         self._writer = attacker if is_asked(attacker) else None
         return Who(self._live or registry.make(planners, self.plan.planner), attacker)
+
+
+def known_to(
+    planner: Planner, pairs: tuple[Pair, ...], kinds: tuple[TrialKind, ...]
+) -> tuple[Pair, ...]:
+    """Return the pairs that a planner can answer in each kind of trial; most planners all.
+
+    Raises:
+        PlannerError: none.
+    """
+    knows = getattr(planner, "knows", None)
+    if knows is None:
+        return pairs
+    found = tuple(pair for pair in pairs if knows(pair.id, tuple(map(str, kinds))))
+    if not found:
+        text = f"has no reply to any pair in each of {', '.join(kinds)}: name others with `--kind`"
+        raise PlannerError(text, code="file", where=planner.name)
+    return found
 
 
 def apart(specs: tuple[str, ...]) -> tuple[Defense, ...]:

@@ -38,6 +38,9 @@ SYSTEMS = {
 }
 #: The same in the heads of narrow columns.
 SHORT = {**SYSTEMS, "safety": "Safety-only", "both": "Dual gate"}
+#: What stands behind a planner, and the planners that answer what a model answered before.
+SIMULATED, RECORDED, LIVE_MODEL = "simulated", "recorded", "live"
+_RECORDS = frozenset({"recorded", "replay"})
 #: Defenses whose refusals are the paper's "Blocked by AuthGuard-R".
 GATES = ("both", "mission")
 
@@ -61,7 +64,16 @@ def planner(named: NamedPart) -> Cell:
         return LatexName(found.name, found.tex)
     model = named.parameters.get("model")
     name = printable(f"{named.name} ({model})" if isinstance(model, str) else named.name)
+    if standing(named) == RECORDED:
+        return f"{name} (recorded)"
     return _marked(name, simulated=named.simulated)
+
+
+def standing(named: NamedPart) -> str:
+    """Return what stands behind a planner: `SIMULATED`, `RECORDED` or `LIVE`."""
+    if named.simulated:
+        return SIMULATED
+    return RECORDED if named.name in _RECORDS else LIVE_MODEL
 
 
 def defense(campaign: Campaign, name: str) -> str:

@@ -8,7 +8,15 @@ from typing import Any
 
 from missionpair.measures import MeasuredCampaign
 from missionpair.records import NamedPart
-from missionpair.report.names import attack, defense, planner, printable, simulated
+from missionpair.report.names import (
+    RECORDED,
+    attack,
+    defense,
+    planner,
+    printable,
+    simulated,
+    standing,
+)
 from missionpair.report.table import Head, Table
 
 SECTION = "What was run"
@@ -49,6 +57,8 @@ def setup_table(logs: tuple[MeasuredCampaign, ...]) -> Table:
                 ", ".join(map(str, campaign.weights)),
                 _weights(campaign.field_weights),
                 *(getattr(campaign, name) for name in _PLAIN),
+                campaign.skipped,
+                standing(campaign.planner),
                 measured.trials,
                 campaign.trials,
                 simulated([measured]) or "no",
@@ -66,6 +76,8 @@ def setup_table(logs: tuple[MeasuredCampaign, ...]) -> Table:
         Head("weights", "Weights of the score J, lambda 1 to 5"),
         Head("field_weights", "Weights of protected fields in D_M"),
         *(Head(name, name.replace("_", " ").capitalize()) for name in _PLAIN),
+        Head("skipped", "Pairs skipped"),
+        Head("standing", "Planner is"),
         Head("trials", "Trials in the log"),
         Head("planned", "Trials planned"),
         Head("simulated", "Simulated"),
@@ -88,7 +100,19 @@ def remarks(logs: tuple[MeasuredCampaign, ...]) -> Iterator[str]:
             f"Simulated: {marked}. No language model and no person stands behind a simulated part; "
             "its figures say how a defense does against published behavior, and nothing of models."
         )
+    behind = dict.fromkeys(standing(measured.campaign.planner) for measured in logs)
+    if len(behind) > 1:
+        yield (
+            f"The logs' planners are {' and '.join(behind)}: sums over them mix behavior that was "
+            "published, answers of models that were recorded, and models that answered now."
+        )
     for number, measured in enumerate(logs, 1):
+        named, skipped = measured.campaign.planner, measured.campaign.skipped
+        if standing(named) == RECORDED:
+            told = named.parameters.get("planner", named.parameters)
+            yield f"Log {number}: the planner's answers were recorded before: {_listed(told)}."
+        if skipped:
+            yield f"Log {number}: {skipped} pairs were left out, because the record has no reply."
         if not measured.complete:
             planned = measured.campaign.trials
             yield f"Log {number} is not finished: {measured.trials} of {planned} trials."

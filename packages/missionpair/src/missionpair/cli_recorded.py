@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`missionpair import` and `missionpair recorded`: what models did elsewhere, judged here."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import typer
+
+from missionpair.campaign.run import Progress
+from missionpair.cli_run import shown
+from missionpair.recorded.folder import import_agentdojo, read_runs, read_source
+from missionpair.recorded.replay import NONE, replay_all
+from missionpair.recorded.replies import import_replies
+from missionpair.recorded.tables import Replay, lines, plain
+
+#: What recorded runs are judged by, where nothing else is said.
+DEFENSES = (NONE, "allowlist", "cedar", "both")
+
+imports = typer.Typer(name="import", help="Read what models did elsewhere.", no_args_is_help=True)
+
+
+@imports.command("agentdojo")
+def agentdojo(
+    source: Annotated[
+        Path, typer.Argument(help="agentdojo-0.1.24.tar.gz from PyPI, or a folder of its contents.")
+    ],
+    out: Annotated[Path, typer.Option("--out", help="A new folder for runs and missions.")],
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object, nothing else.")
+    ] = False,
+) -> int:
+    """Read AgentDojo's runs, and write them with a signed mission for each of its tasks.
+
+    Nothing of the source is executed, and nothing is written outside the new folder.
+    """
+    if out.exists():
+        raise typer.BadParameter("there is such a folder already", param_hint="--out")
+    if not out.parent.is_dir():
+        raise typer.BadParameter(f"there is no folder {out.parent}", param_hint="--out")
+    with shown(hidden=as_json, what="runs") as show:
+        found = import_agentdojo(source, out, show=lambda done: show(Progress(done, done)))
+    if as_json:
+        sys.stdout.write(msgspec.json.encode(found).decode() + "\n")
+        return 0
+    sys.stdout.write(
+        f"{out}: {found.runs} runs of {len(found.pipelines)} pipelines; {found.attacked} attacked,"
+        f" {found.landed} landed\nreplay them: missionpair recorded {out} --jobs 2\n"
+    )
+    return 0
+
+
+def _of_form(form: str, text: str) -> None:
+    """Add the command that reads logs of one form."""
+
+    def command(
+        source: Annotated[Path, typer.Argument(help="The log: one reply a line, as JSON.")],
+        out: Annotated[Path, typer.Option("--out", help="A new file of replies.")],
+        model: Annotated[
+            str, typer.Option("--model", help="Who answered, if the log is silent.")
+        ] = "",
+        date: Annotated[str, typer.Option("--date", help="When, such as 2026-11-28.")] = "",
+        as_json: Annotated[
+            bool, typer.Option("--json", help="Print one JSON object, nothing else.")
+        ] = False,
+    ) -> int:
+        if out.exists():
+            raise typer.BadParameter("there is such a file already", param_hint="--out")
+        if not out.parent.is_dir():
+            raise typer.BadParameter(f"there is no folder {out.parent}", param_hint="--out")
+        head, count = import_replies(form, source, out, model=model, date=date)
+        if as_json:
+            told = {**msgspec.to_builtins(head), "replies": count}
+            sys.stdout.write(json.dumps(told) + "\n")
+            return 0
+        sys.stdout.write(
+            f"{out}: {count} replies of {head.model}, {head.date}\n"
+            f"run them: missionpair run SUITE --planner recorded:file={out} --kind attack\n"
+        )
+        return 0
+
+    command.__doc__ = text
+    imports.command(form)(command)
+
+
+_of_form("steps", "Read replies that are lists of tool and arguments (`steps`).")
+_of_form("openai", "Read replies that are chat completions (`response`).")
+_of_form("mcp", "Read replies that are JSON-RPC requests `tools/call` (`calls`).")
+_of_form("langchain", "Read replies that are LangChain messages (`messages`).")
+
+
+def recorded_command(
+    folder: Annotated[Path, typer.Argument(help="What `missionpair import agentdojo` wrote.")],
+    defense: Annotated[
+        list[str] | None,
+        typer.Option("--defense", help="none, allowlist, cedar, both ...; may be repeated."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="A new file: every leak and refusal with its cause."),
+    ] = None,
+    jobs: Annotated[int, typer.Option("--jobs", min=1, help="How many processes.")] = 1,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object, nothing else.")
+    ] = False,
+) -> int:
+    """Put every recorded call to each defense, and say which of them would have run."""
+    if out is not None and out.exists():
+        raise typer.BadParameter("there is such a file already", param_hint="--out")
+    source = read_source(folder)
+    names = tuple(dict.fromkeys(defense or DEFENSES))
+    found = Replay()
+    with shown(hidden=as_json, what="runs") as show:
+        total = source.runs
+        replayed = replay_all(
+            read_runs(folder), names, jobs=jobs, show=lambda done: show(Progress(done, total))
+        )
+        for one in replayed:
+            found.add(one)
+    if out is not None:
+        out.write_bytes(b"".join(msgspec.json.encode(one) + b"\n" for one in found.remaining))
+    if as_json:
+        told = {"source": msgspec.to_builtins(source), "rows": plain(found.rows)}
+        sys.stdout.write(json.dumps(told) + "\n")
+        return 0
+    sys.stdout.write("\n".join(lines(found.rows)) + "\n")
+    return 0

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A model as it answered in real runs: replies by pair, kind of trial and round.
+
+Option: `file=FILE`, which `missionpair import steps|openai|mcp|langchain` wrote. Pairs to which it
+has no reply are left out of the campaign and counted. How-to:
+docs/howto/missionpair-models.md#recorded
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from missionpair.briefing import Briefing, PlannerError, Reply
+from missionpair.recorded.archive import SourceError
+from missionpair.recorded.replies import FORMAT, PairReply, RepliesHead, lines_of
+
+_Key = tuple[str, str, int]
+
+
+class RecordedPlanner:
+    """A planner that answers what a model answered to the same pair.
+
+    Args:
+        head: whose the replies are.
+        replies: by pair, kind of trial and round.
+        where: the file.
+    """
+
+    name, simulated = "recorded", False
+
+    def __init__(self, head: RepliesHead, replies: dict[_Key, PairReply], *, where: str) -> None:
+        self.parameters: dict[str, Any] = {
+            "model": head.model,
+            "date": head.date,
+            "source": head.source,
+            "digest": head.digest,
+        }
+        self.recorded = True
+        self._replies, self._where = replies, where
+
+    def knows(self, pair: str, kinds: tuple[str, ...]) -> bool:
+        """Return whether it has a reply to the first round of each kind of trial of a pair."""
+        return all((pair, kind, 0) in self._replies for kind in kinds)
+
+    def propose(self, briefing: Briefing, *, seed: int) -> Reply:  # noqa: ARG002 - the pair decides
+        """Return the model's answer.
+
+        Raises:
+            PlannerError: it has none; of a later round with the code `ended`.
+        """
+        trial = briefing.trial
+        if trial is None or briefing.turns:
+            text = "answers pairs of a campaign, one answer a round: run with one turn"
+            raise PlannerError(text, code="protocol", where=self._where)
+        found = self._replies.get(trial)
+        if found is None:
+            pair, kind, number = trial
+            raise PlannerError(
+                f"has no reply to `{pair}`, {kind}, round {number}",
+                code="ended" if number else "protocol",
+                where=self._where,
+            )
+        return Reply(raw=found.raw.encode(), refused=found.refused)
+
+
+def make(*, file: str = "") -> RecordedPlanner:
+    """Return the planner of a file.
+
+    Raises:
+        ValueError: no file is named.
+        PlannerError: it cannot be read, or is no file of replies.
+    """
+    if not file:
+        raise ValueError("name the file: `file=FILE`")
+    try:
+        return _read(Path(file))
+    except SourceError as error:
+        raise PlannerError(error.message, code="file", where=error.where) from error
+
+
+def _read(path: Path) -> RecordedPlanner:
+    head: RepliesHead | None = None
+    replies: dict[_Key, PairReply] = {}
+    for where, line in lines_of(path):
+        try:
+            if head is None:
+                head = msgspec.json.decode(line, type=RepliesHead)
+                if head.format != FORMAT:
+                    raise ValueError(f"expected the format `{FORMAT}`")  # noqa: TRY301
+                continue
+            reply = msgspec.json.decode(line, type=PairReply)
+        except (msgspec.DecodeError, ValueError, RecursionError) as error:
+            raise SourceError(f"is no file of replies: {error}", where=where) from error
+        replies[reply.pair, str(reply.kind), reply.round] = reply
+    if head is None:
+        raise SourceError("is empty", where=str(path))
+    return RecordedPlanner(head, replies, where=str(path))

@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Logs of real runs become a planner: marked as recorded, chosen by pair, and never more than said.
+
+Source: issue 27, "Recorded transcripts". How-to: docs/howto/missionpair-models.md#recorded
+"""
+
+from __future__ import annotations
+
+import json
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from authguard_r.core.encoding import b64
+from fixtures.missionpair_program import told
+from missionpair import planners
+from missionpair.briefing import PlannerError
+from missionpair.campaign.log import read_log
+from missionpair.campaign.run import CampaignPlan, run
+from missionpair.measures import measure
+from missionpair.pair import Pair, WordedCall
+from missionpair.recorded.archive import SourceError
+from missionpair.recorded.replies import import_replies
+from missionpair.report.setup import remarks, setup_table
+from missionpair.suites import load
+from missionpair.words import TrialKind
+
+
+def written(path: Path, *lines: object) -> Path:
+    path.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    return path
+
+
+def record(form: str, pair: str, calls: tuple[WordedCall, ...], **more: Any) -> dict[str, Any]:
+    """Return a line of a log: these calls, in one of the forms."""
+    plain = [(call.tool, call.arguments) for call in calls]
+    match form:
+        case "steps":
+            field: Any = [{"tool": tool, "arguments": given} for tool, given in plain]
+        case "openai":
+            called = [
+                {
+                    "id": str(n),
+                    "type": "function",
+                    "function": {"name": tool, "arguments": json.dumps(given)},
+                }
+                for n, (tool, given) in enumerate(plain)
+            ]
+            message = {"role": "assistant", "content": None, "tool_calls": called}
+            field = {
+                "id": "x",
+                "object": "chat.completion",
+                "created": 1_764_288_000,
+                "model": "model-1",
+                "choices": [{"index": 0, "message": message, "finish_reason": "tool_calls"}],
+            }
+        case "mcp":
+            field = [
+                {
+                    "jsonrpc": "2.0",
+                    "id": n,
+                    "method": "tools/call",
+                    "params": {"name": tool, "arguments": given},
+                }
+                for n, (tool, given) in enumerate(plain)
+            ]
+        case _:
+            answered = {
+                "type": "ai",
+                "content": "",
+                "tool_calls": [
+                    {"name": tool, "args": given, "id": str(n)}
+                    for n, (tool, given) in enumerate(plain)
+                ],
+                "response_metadata": {"model_name": "model-1"},
+            }
+            field = [{"type": "human", "content": "Go."}, answered]
+    name = {"openai": "response", "mcp": "calls", "langchain": "messages"}.get(form, "steps")
+    return {"pair": pair, name: field, **more}
+
+
+@pytest.fixture
+def pairs(few: str) -> tuple[Pair, ...]:
+    return load(few)[0].pairs
+
+
+FORMS = ("steps", "openai", "mcp", "langchain")
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_log_of_each_form_becomes_a_planner_that_complies_as_the_model_did(
+    tmp_path: Path, few: str, pairs: tuple[Pair, ...], form: str
+) -> None:
+    pair = pairs[0]
+    source = written(tmp_path / "log.jsonl", record(form, pair.id, pair.attack.plan))
+    out = tmp_path / "replies.jsonl"
+    head, count = import_replies(form, source, out, model="model-1", date="2025-11-28")
+    assert count == 1
+    assert (head.model, head.date, head.source) == ("model-1", "2025-11-28", "log.jsonl")
+    assert head.digest == b64(sha256(source.read_bytes()).digest())
+    plan = CampaignPlan(
+        suite=few,
+        planner=f"recorded:file={out}",
+        defenses=("none", "both"),
+        kinds=(TrialKind.ATTACK,),
+    )
+    campaign = run(plan, tmp_path / "campaign.jsonl")
+    assert (campaign.pairs, campaign.skipped) == (1, len(pairs) - 1)
+    assert campaign.planner.simulated is False
+    assert campaign.planner.parameters["model"] == "model-1"
+    _, trials = read_log(tmp_path / "campaign.jsonl")
+    assert [(t.defense, t.complied, t.blocked) for t in trials] == [
+        ("none", True, False),
+        ("both", True, True),
+    ]
+
+
+def test_a_report_says_that_a_planner_is_recorded_and_what_was_left_out(
+    tmp_path: Path, few: str, pairs: tuple[Pair, ...]
+) -> None:
+    source = written(tmp_path / "log", record("steps", pairs[0].id, pairs[0].attack.plan))
+    out = tmp_path / "replies.jsonl"
+    import_replies("steps", source, out, model="model-1", date="2025-11-28")
+    logs = []
+    for name in (f"recorded:file={out}", "hijacked"):
+        plan = CampaignPlan(suite=few, planner=name, kinds=(TrialKind.ATTACK,))
+        log = tmp_path / f"{name[:8]}.jsonl"
+        run(plan, log)
+        logs.append(measure(*read_log(log)))
+    text = "\n".join(remarks(tuple(logs)))
+    assert "Log 1: the planner's answers were recorded before: date 2025-11-28" in text
+    assert "model model-1" in text
+    assert f"Log 1: {len(pairs) - 1} pairs were left out" in text
+    assert "planners are recorded and simulated" in text
+    table = setup_table(tuple(logs))
+    column = [head.key for head in table.heads].index("standing")
+    assert [row[column] for row in table.rows] == ["recorded", "simulated"]
+    name = [head.key for head in table.heads].index("planner")
+    assert "(recorded)" in str(table.rows[0][name])
+
+
+def test_rounds_end_where_the_record_ends(
+    tmp_path: Path, few: str, pairs: tuple[Pair, ...]
+) -> None:
+    pair = pairs[0]
+    lines = [record("steps", pair.id, (), round=n) for n in range(2)]
+    out = tmp_path / "replies.jsonl"
+    import_replies("steps", written(tmp_path / "log", *lines), out, model="m", date="2025-11-28")
+    plan = CampaignPlan(
+        suite=few, planner=f"recorded:file={out}", rounds=3, kinds=(TrialKind.ATTACK,)
+    )
+    run(plan, tmp_path / "campaign.jsonl")
+    (trial,) = read_log(tmp_path / "campaign.jsonl")[1]
+    assert (len(trial.rounds), trial.error) == (2, "")
+
+
+def test_a_record_without_a_kind_that_is_asked_for_is_refused(
+    tmp_path: Path, few: str, pairs: tuple[Pair, ...]
+) -> None:
+    source = written(tmp_path / "log", record("steps", pairs[0].id, ()))
+    out = tmp_path / "replies.jsonl"
+    import_replies("steps", source, out, model="m", date="2025-11-28")
+    plan = CampaignPlan(suite=few, planner=f"recorded:file={out}")
+    with pytest.raises(PlannerError, match="name others with `--kind`"):
+        run(plan, tmp_path / "campaign.jsonl")
+
+
+def test_the_bytes_of_a_model_are_kept(tmp_path: Path, pairs: tuple[Pair, ...]) -> None:
+    """An argument that is given twice stays so: the normalizer refuses it, as it did live."""
+    twice = '{"plan": [{"tool": "go", "arguments": {"to": "a", "to": "b"}}]}'
+    line = f'{{"pair": "{pairs[0].id}", "steps": [{twice[10:-2]}]}}\n'
+    (tmp_path / "log").write_text(line)
+    out = tmp_path / "replies.jsonl"
+    import_replies("steps", tmp_path / "log", out, model="m", date="2025-11-28")
+    assert json.loads(out.read_text().splitlines()[1])["raw"] == twice
+
+
+STEPS = {"pair": "p", "steps": []}
+
+
+@pytest.mark.parametrize(
+    ("form", "lines", "message"),
+    [
+        ("steps", [{"pair": "p"}], "expected the field `steps`"),
+        ("steps", [{"pair": "p", "steps": [], "calls": []}], "and no other form's"),
+        ("steps", [{"pair": "p", "calls": []}], "expected the field `steps`"),
+        ("steps", [STEPS, STEPS], "a second time"),
+        ("steps", [{**STEPS, "round": -1}], "is no reply of the form"),
+        ("steps", [{**STEPS, "kind": "other"}], "is no reply of the form"),
+        ("steps", [{**STEPS, "more": 1}], "is no reply of the form"),
+        ("steps", [{**STEPS, "model": "other"}], "an earlier one is another"),
+        ("steps", ["text"], "is no reply of the form"),
+        ("openai", [{"pair": "p", "response": []}], "is no reply of the form"),
+        ("mcp", [{"pair": "p", "calls": [{"method": "x", "params": {"name": "a"}}]}], "tools/call"),
+        ("langchain", [{"pair": "p", "messages": []}], "expected a message of the model"),
+    ],
+)
+def test_a_line_that_is_no_reply_is_refused_by_place(
+    tmp_path: Path, form: str, lines: list[Any], message: str
+) -> None:
+    source = written(tmp_path / "log", *lines)
+    with pytest.raises(SourceError, match=message) as caught:
+        import_replies(form, source, tmp_path / "out", model="m", date="2025-11-28")
+    assert f"{source}:{len(lines)}" in caught.value.where
+    assert not (tmp_path / "out").exists()
+
+
+def test_who_answered_and_when_has_to_be_said(tmp_path: Path) -> None:
+    source = written(tmp_path / "log", STEPS)
+    for more in ({"date": "2025-11-28"}, {"model": "m"}):
+        with pytest.raises(SourceError, match="does not say"):
+            import_replies("steps", source, tmp_path / "out", **more)
+
+
+@pytest.mark.parametrize("text", ["", "{}\n", "{", '{"format": "other"}\n'])
+def test_a_file_that_is_no_file_of_replies_is_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "replies.jsonl"
+    path.write_text(text)
+    with pytest.raises(PlannerError) as caught:
+        planners.make(f"recorded:file={path}")
+    assert caught.value.code == "file"
+
+
+def test_on_the_command_line(
+    tmp_path: Path,
+    pairs: tuple[Pair, ...],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    source = written(tmp_path / "log", record("openai", pairs[0].id, ()))
+    words = ("import", "openai", source, "--out", tmp_path / "replies.jsonl")
+    code, said = told(capsys, monkeypatch, *words)
+    assert (code, said["replies"], said["model"], said["date"]) == (0, 1, "model-1", "2025-11-28")
+    code, said = told(capsys, monkeypatch, *words)
+    assert (code, said["error"]["where"]) == (2, "--out")
