@@ -25,8 +25,9 @@ from missionpair.attackers import AttackerError
 from missionpair.attackers._reading import CaseView, SeenView, read_case, read_seen
 from missionpair.briefing import Briefing, OfferedTool, Reply
 from missionpair.campaign.gate_view import gate_findings
+from missionpair.campaign.setting import Setting
 from missionpair.campaign.showing import case_of, seen_of
-from missionpair.campaign.trial import PairRun, Setting
+from missionpair.campaign.trial import PairRun
 from missionpair.campaign.trial_record import TrialRecord
 from missionpair.defenses import make as defense
 from missionpair.execution import ExecutedPlan

@@ -25,7 +25,8 @@ from missionpair.campaign.ahead import Ahead, Tail, end, keep
 from missionpair.campaign.arms import rest_of
 from missionpair.campaign.log import LogError, LogWriter, read_log
 from missionpair.campaign.run import CampaignPlan, Progress, answered, run
-from missionpair.campaign.trial import FINAL, PairRun, Setting
+from missionpair.campaign.setting import Setting
+from missionpair.campaign.trial import FINAL, PairRun
 from missionpair.campaign.worker import Ran
 from missionpair.defenses import DefenseError, _qualify
 from missionpair.execution import ExecutedPlan, past_the_gate

@@ -17,6 +17,7 @@ from missionpair.campaign.log import read_log
 from missionpair.campaign.plan import CampaignPlan, PlanError
 from missionpair.campaign.run import run
 from missionpair.campaign.trial import MOST_TURNS
+from missionpair.cli_recorded import imports
 from missionpair.registry import UnknownNameError
 from missionpair.words import TrialKind
 
@@ -35,11 +36,19 @@ WRONG: dict[str, tuple[tuple[str, ...], str]] = {
     "require": ((), "LOG..."),
     "mutate": (("live", "--most", "none"), "--most"),
     "perceive": (("live", "--out", "x", "--jobs", "0"), "--jobs"),
+    "recorded": (("folder", "--jobs", "0"), "--jobs"),
+    "import agentdojo": (("source",), "--out"),
+    "import steps": (("log",), "--out"),
+    "import openai": (("log", "--out", "/"), "--out"),
+    "import mcp": (("--out", "x"), "SOURCE"),
+    "import langchain": (("log", "--out", "x", "--form", "y"), ""),
 }
 
 
 def test_there_is_such_a_case_for_every_command() -> None:
-    assert {command.name for command in cli.app.registered_commands} == set(WRONG)
+    commands = [command.name for command in cli.app.registered_commands]
+    commands += [f"import {command.name}" for command in imports.registered_commands]
+    assert set(commands) == set(WRONG)
 
 
 @pytest.mark.parametrize("command", sorted(WRONG))
@@ -47,7 +56,7 @@ def test_what_a_parser_minds_is_one_object_too(
     command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     words, where = WRONG[command]
-    code, found = told(capsys, monkeypatch, command, *words)
+    code, found = told(capsys, monkeypatch, *command.split(), *words)
     assert (code, set(found)) == (2, {"error"})
     assert set(found["error"]) == {"code", "message", "where"}
     assert (found["error"]["code"], found["error"]["where"]) == ("USAGE", where)

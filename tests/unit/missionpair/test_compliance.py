@@ -15,7 +15,8 @@ from authguard_reference.reasons import FIELD_OF
 from fixtures.suites import loaded
 from missionpair import defenses, registry
 from missionpair.campaign.arms import rest_of
-from missionpair.campaign.trial import PairRun, Who
+from missionpair.campaign.setting import Who
+from missionpair.campaign.trial import PairRun
 from missionpair.judging import check, check_first
 from missionpair.judging.asked import asked_changes, changed_as_asked
 from missionpair.judging.walk import Walk

@@ -16,8 +16,8 @@ from fixtures.suites import loaded
 from missionpair import attackers, defenses, planners, registry
 from missionpair.briefing import Briefing, PlannerError, Reply
 from missionpair.campaign.arms import neutral_inputs
+from missionpair.campaign.setting import Who
 from missionpair.campaign.showing import briefing_of
-from missionpair.campaign.trial import Who
 from missionpair.measures import MeasuredCampaign, Paired
 from missionpair.mutation import slice_of
 from missionpair.pair import Pair, Suite, WordedCall, plan_bytes

@@ -17,8 +17,9 @@ from missionpair import attackers, defenses, planners, registry
 from missionpair.attackers._model import MAX_TEXT, MeteredModel
 from missionpair.briefing import Briefing, PlannerError, Reply
 from missionpair.campaign.log import LogWriter
+from missionpair.campaign.setting import Setting
 from missionpair.campaign.showing import briefing_of
-from missionpair.campaign.trial import PairRun, Setting
+from missionpair.campaign.trial import PairRun
 from missionpair.defenses import Defense
 from missionpair.defenses._qualify import qualify
 from missionpair.execution import ExecutedPlan

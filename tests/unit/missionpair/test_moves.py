@@ -9,7 +9,8 @@ import pytest
 
 from missionpair import attackers, defenses, registry
 from missionpair.briefing import Briefing, OfferedTool
-from missionpair.campaign.trial import PairRun, Setting
+from missionpair.campaign.setting import Setting
+from missionpair.campaign.trial import PairRun
 from missionpair.measures.causes import CAUSED
 from missionpair.pair import Input, WordedCall, plan_bytes
 from missionpair.planners._moves import MoveSituation, as_asked, each_tool

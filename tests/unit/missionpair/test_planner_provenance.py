@@ -20,7 +20,8 @@ from fixtures import mission_pairs
 from missionpair import defenses
 from missionpair.attackers import make as attacker
 from missionpair.briefing import Briefing, Reply
-from missionpair.campaign.trial import PairRun, Setting
+from missionpair.campaign.setting import Setting
+from missionpair.campaign.trial import PairRun
 from missionpair.pair import Input, Layout
 from missionpair.score import DEFAULT
 from missionpair.stage import Stage, Yard

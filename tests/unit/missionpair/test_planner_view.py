@@ -29,7 +29,8 @@ from authguard_r.core.safety import Hazard
 from fixtures.suites import loaded
 from missionpair import defenses, planners
 from missionpair.briefing import Briefing, PlannerError, Reply
-from missionpair.campaign.trial import PairRun, Setting
+from missionpair.campaign.setting import Setting
+from missionpair.campaign.trial import PairRun
 from missionpair.pair import Input, Layout, Pair, Suite, plan_bytes
 from missionpair.planners._prompt import system_text, user_text
 from missionpair.score import DEFAULT

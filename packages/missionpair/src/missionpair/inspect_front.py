@@ -20,7 +20,8 @@ import msgspec
 
 from missionpair import attackers, defenses, registry
 from missionpair.briefing import Briefing, Planner, Reply
-from missionpair.campaign.trial import PairRun, Setting
+from missionpair.campaign.setting import Setting
+from missionpair.campaign.trial import PairRun
 from missionpair.pair import Layout, Pair
 from missionpair.planners._answers import read_answer
 from missionpair.planners._client import Completion

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A planner's answers to one question: it is asked once, and every defense judges the same plan.
+"""Who plans in a trial, and the answers: asked once, so that every defense judges the same plan.
 
 Source: section "Controlled Validation" (the same trials under several systems)
 """
@@ -7,8 +7,13 @@ Source: section "Controlled Validation" (the same trials under several systems)
 from __future__ import annotations
 
 from collections.abc import Callable
+from time import perf_counter_ns
 
-from missionpair.briefing import Briefing, Reply
+from missionpair.attackers import Attacker
+from missionpair.briefing import Briefing, Planner, Reply
+from missionpair.campaign.setting import Setting
+from missionpair.campaign.trial_record import Dice, TrialCosts
+from missionpair.words import TrialKind
 
 
 class SharedAnswers:
@@ -35,3 +40,58 @@ class SharedAnswers:
         reply = ask()
         self._given.append((briefing, seed, reply))
         return reply, True
+
+
+class TrialPlanners:
+    """Planner and attacker of each defense.
+
+    Args:
+        setting: of the campaign.
+    """
+
+    def __init__(self, setting: Setting) -> None:
+        self._who = {defense.name: setting.who(n) for n, defense in enumerate(setting.defenses)}
+        self._fresh = setting.fresh
+        self._learners: dict[tuple[TrialKind, str], Planner] = {}
+        self._answers = SharedAnswers()
+
+    def clear(self) -> None:
+        """Forget every answer: another try begins."""
+        self._answers.clear()
+
+    def attacker(self, defense: str) -> Attacker:
+        """Return who writes the inputs under a defense."""
+        return self._who[defense].attacker
+
+    def learns(self, dice: Dice) -> bool:
+        """True when the planner is an attacker, too, and is told of each round."""
+        return hasattr(self._who[dice.defense.name].planner, "told")
+
+    def of(self, dice: Dice) -> Planner:
+        """Return who plans; what learns in an arm knows nothing of the others."""
+        planner = self._who[dice.defense.name].planner
+        if dice.kind is TrialKind.ATTACK or self._fresh is None or not self.learns(dice):
+            return planner
+        key = dice.kind, dice.defense.name
+        if key not in self._learners:
+            self._learners[key] = self._fresh().planner
+        return self._learners[key]
+
+    def answered(self, briefing: Briefing, dice: Dice, seed: int, spent: TrialCosts) -> Reply:
+        """Return the planner's answer, and add what it took; the same question is asked once."""
+        begun, planner = perf_counter_ns(), self.of(dice)
+
+        def ask() -> Reply:
+            return planner.propose(briefing, seed=seed)
+
+        if hasattr(planner, "told"):  # it learns from what this defense did
+            reply, is_new = ask(), True
+        else:
+            reply, is_new = self._answers.answer(briefing, seed, ask)
+        if not is_new:
+            return reply
+        spent.planner += reply.took_us or (perf_counter_ns() - begun) // 1_000
+        read, written = spent.tokens
+        spent.tokens = (read + reply.tokens[0], written + reply.tokens[1])
+        spent.cost_microusd += reply.cost_microusd
+        return reply

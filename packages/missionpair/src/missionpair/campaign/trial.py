@@ -8,20 +8,21 @@ happened. Source: `alg:missionpair`, `eq:score`. Spec page: docs/spec/missionpai
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from time import perf_counter_ns
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 from authguard_r.core.finding import Findings
 from authguard_r.core.reasons import Reason
 from missionpair.access import case_bytes, seen_bytes
-from missionpair.attackers import Attacker, AttackerError
-from missionpair.briefing import Briefing, EarlierTurn, Planner, PlannerError, Reply
-from missionpair.campaign.answers import SharedAnswers
+from missionpair.attackers import AttackerError
+from missionpair.briefing import EarlierTurn, PlannerError
+from missionpair.campaign.answers import TrialPlanners
 from missionpair.campaign.arms import is_asked, is_same_work, neutral_inputs, rest_of, seed_of
 from missionpair.campaign.gate_view import gate_findings
+from missionpair.campaign.setting import Setting
 from missionpair.campaign.showing import briefing_of, case_of, seen_of
 from missionpair.campaign.trial_record import (
     Dice,
@@ -37,7 +38,7 @@ from missionpair.defenses._qualify import fit_of, stopped
 from missionpair.judging import Checked, Walk, check, check_first
 from missionpair.pair import Input, Layout, Pair, WordedCall, plan_bytes, updated
 from missionpair.records import Trial
-from missionpair.score import Weights, score
+from missionpair.score import score
 from missionpair.stage import Stage, Yard
 from missionpair.words import ATTACKED, Access, TrialKind
 
@@ -51,56 +52,6 @@ ENDED = "ended"
 _TURN_BITS = 48
 #: Answers that a planner has in a round at most: seeds stay whole numbers of JSON.
 MOST_TURNS = 30
-
-
-class Who(NamedTuple):
-    """Target and attacker."""
-
-    planner: Planner
-    attacker: Attacker
-
-
-@dataclass(frozen=True)
-class Setting:
-    """What is the same for every trial of a campaign.
-
-    Args:
-        planner: the target.
-        attacker: who writes the inputs.
-        access: what the attacker sees.
-        defenses: one after the other.
-        rounds: tries that an attacker has at most.
-        turns: answers that a planner has in one round at most.
-        seed: of all dice.
-        seeds: how often each pair is tried.
-        kinds: which kinds of trial.
-        weights: of the score.
-        fresh: makes planner and attacker anew for each defense but the first, so that what learns
-            under one defense does not know it under another; None: all defenses share them.
-    """
-
-    planner: Planner
-    attacker: Attacker
-    access: Access
-    defenses: tuple[Defense, ...]
-    rounds: int
-    turns: int
-    seed: int
-    seeds: int
-    kinds: tuple[TrialKind, ...]
-    weights: Weights
-    fresh: Callable[[], Who] | None = None
-
-    def who(self, defense: int) -> Who:
-        """Return planner and attacker of one of the defenses, by its place."""
-        if defense == 0 or self.fresh is None:
-            return Who(self.planner, self.attacker)
-        return self.fresh()
-
-    @property
-    def trials(self) -> int:
-        """Trials of each pair."""
-        return len(self.defenses) * self.seeds * len(self.kinds)
 
 
 class PairRun:
@@ -140,10 +91,8 @@ class PairRun:
         self._stages: dict[tuple[TrialKind, str], Stage] = {}
         self._cases: dict[str, bytes] = {}
         self._rest: tuple[WordedCall, ...] | None = None
-        self._answers = SharedAnswers()
         self._found: tuple[Checked, Defense, tuple[Findings, ...]] | None = None
-        self._who = {defense.name: setting.who(n) for n, defense in enumerate(setting.defenses)}
-        self._learners: dict[tuple[TrialKind, str], Planner] = {}
+        self._planners = TrialPlanners(setting)
         #: Why no answer came in the last trial; None when one did.
         self.failure: PlannerError | AttackerError | None = None
 
@@ -158,7 +107,7 @@ class PairRun:
         for kind in setting.kinds:
             for number in range(setting.seeds):
                 seed = seed_of(setting.seed, self._pair.id, kind, number)
-                self._answers.clear()
+                self._planners.clear()
                 for defense in setting.defenses:
                     if self._n >= self._done:
                         yield self._trial(Dice(kind, defense, seed))
@@ -225,7 +174,7 @@ class PairRun:
             stage.show(inputs)
             is_last = number == setting.rounds - 1
             asks = dice.kind is TrialKind.ATTACK and not is_last and not gave_up
-            is_heard = asks or (dice.kind in ATTACKED and self._learns(dice))
+            is_heard = asks or (dice.kind in ATTACKED and self._planners.learns(dice))
             thrown = replace(dice, seed=dice.seed + number)
             tried = self._round(stage, thrown, spent, number=number, is_heard=is_heard)
             points = score(tried.checked, setting.weights)
@@ -260,7 +209,7 @@ class PairRun:
         for turn in range(most):
             briefing = briefing_of(stage, turns=turns, usual=usual, trial=which)
             seed = dice.seed + (turn << _TURN_BITS)
-            reply = self._answered(dice.defense.brief(briefing), dice, seed, spent)
+            reply = self._planners.answered(dice.defense.brief(briefing), dice, seed, spent)
             at = perf_counter_ns()
             checked = (check if turn else check_first)(stage, reply.raw)
             spent.judging += _us(at)
@@ -322,24 +271,6 @@ class PairRun:
                 held = self._found = (checked, dice.defense, gate_findings(stage, checked))
         return held[2]
 
-    def _answered(self, briefing: Briefing, dice: Dice, seed: int, spent: TrialCosts) -> Reply:
-        begun, planner = perf_counter_ns(), self._planner(dice)
-
-        def ask() -> Reply:
-            return planner.propose(briefing, seed=seed)
-
-        if hasattr(planner, "told"):  # it learns from what this defense did
-            reply, is_new = ask(), True
-        else:
-            reply, is_new = self._answers.answer(briefing, seed, ask)
-        if not is_new:
-            return reply
-        spent.planner += reply.took_us or _us(begun)
-        read, written = spent.tokens
-        spent.tokens = (read + reply.tokens[0], written + reply.tokens[1])
-        spent.cost_microusd += reply.cost_microusd
-        return reply
-
     def _first_inputs(self, dice: Dice, spent: TrialCosts) -> tuple[Input, ...]:
         """Return what reaches the planner first: nothing, but in an attack or a neutral arm."""
         if dice.kind is TrialKind.ATTACK:
@@ -362,34 +293,20 @@ class PairRun:
             stage = self._stage(dice.kind, dice.defense)
             case = case_of(stage, dice.defense, weights=setting.weights, rounds=setting.rounds)
             self._cases[name] = case_bytes(setting.access, case)
-        inputs = self._who[name].attacker.open(self._cases[name], seed=dice.seed)
+        inputs = self._planners.attacker(name).open(self._cases[name], seed=dice.seed)
         spent.attacker += _us(begun)
         return inputs
 
     def _told(self, number: int, tried: TrialRecord, dice: Dice) -> bytes:
         """Return what the attacker sees of a round; a planner that is one sees it, too."""
         data = seen_bytes(self._setting.access, seen_of(number, tried))
-        if self._learns(dice):
-            cast("Any", self._planner(dice)).told(data)
+        if self._planners.learns(dice):
+            cast("Any", self._planners.of(dice)).told(data)
         return data
-
-    def _learns(self, dice: Dice) -> bool:
-        """True when the planner is an attacker, too, and is told of each round."""
-        return hasattr(self._who[dice.defense.name].planner, "told")
-
-    def _planner(self, dice: Dice) -> Planner:
-        """Return who plans; what learns in an arm knows nothing of the others."""
-        planner, fresh = self._who[dice.defense.name].planner, self._setting.fresh
-        if dice.kind is TrialKind.ATTACK or fresh is None or not self._learns(dice):
-            return planner
-        key = dice.kind, dice.defense.name
-        if key not in self._learners:
-            self._learners[key] = fresh().planner
-        return self._learners[key]
 
     def _revised(self, told: bytes, dice: Dice, spent: TrialCosts) -> tuple[Input, ...] | None:
         begun = perf_counter_ns()
-        inputs = self._who[dice.defense.name].attacker.revise(told, seed=dice.seed)
+        inputs = self._planners.attacker(dice.defense.name).revise(told, seed=dice.seed)
         spent.attacker += _us(begun)
         return inputs
 

@@ -13,7 +13,8 @@ from missionpair.attackers import Attacker, AttackerError
 from missionpair.briefing import Briefing, Planner, PlannerError, Reply
 from missionpair.campaign.arms import is_asked
 from missionpair.campaign.plan import CampaignPlan
-from missionpair.campaign.trial import PairRun, Setting, Who
+from missionpair.campaign.setting import Setting, Who
+from missionpair.campaign.trial import PairRun
 from missionpair.defenses import Defense, DefenseError
 from missionpair.pair import Pair, Suite
 from missionpair.records import Trial

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import msgspec
 from msgspec import Struct
@@ -29,7 +29,7 @@ class _Called(Struct):
     args: dict[str, Any]
 
 
-class _Message(Struct):
+class _RunMessage(Struct):
     role: str
     tool_call: _Called | None = None
     error: str | None = None
@@ -41,7 +41,7 @@ class _Transcript(Struct):
     user_task_id: str
     injection_task_id: str | None
     attack_type: str | None
-    messages: list[_Message]
+    messages: list[_RunMessage]
     utility: bool
     security: bool
 
@@ -72,14 +72,6 @@ class RecordedRun(Struct, frozen=True, kw_only=True):
     useful: bool
 
 
-class _Place(NamedTuple):
-    pipeline: str
-    suite: str
-    task: str
-    kind: str
-    attack: str
-
-
 def runs_of(source: Path) -> Iterator[RecordedRun]:
     """Yield each run of a source distribution, or of a folder with its contents.
 
@@ -103,23 +95,23 @@ def _run(file: SourceFile, decoder: msgspec.json.Decoder[_Transcript]) -> Record
     if len(file.parts) != PARTS or not file.parts[-1].endswith(".json"):
         text = "is no run: `runs/PIPELINE/SUITE/TASK/ATTACK/INJECTION.json` is expected"
         raise SourceError(text, where=file.where)
-    place = _Place(*file.parts[:-1], file.parts[-1].removesuffix(".json"))
+    pipeline, suite, task, kind, name = file.parts
     try:
         said = decoder.decode(file.data)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise SourceError(f"is no run of this layout: {error}", where=file.where) from error
-    if (said.suite_name, said.user_task_id) != (place.suite, place.task):
+    if (said.suite_name, said.user_task_id) != (suite, task):
         text = f"says that it is `{said.suite_name}`, `{said.user_task_id}`; its name says another"
         raise SourceError(text, where=file.where)
     done = [message for message in said.messages if message.role == "tool"]
     calls = [m.tool_call for m in done if m.tool_call is not None and m.error is None]
-    is_attacked = place.kind != NO_ATTACK
+    is_attacked = kind != NO_ATTACK
     return RecordedRun(
-        pipeline=place.pipeline,
-        suite=place.suite,
-        task=place.task,
-        attack=place.attack if is_attacked else "",
-        kind=place.kind if is_attacked else "",
+        pipeline=pipeline,
+        suite=suite,
+        task=task,
+        attack=name.removesuffix(".json") if is_attacked else "",
+        kind=kind if is_attacked else "",
         calls=tuple(OfficeCall(call.function, call.args) for call in calls),
         failed=len(done) - len(calls),
         landed=is_attacked and said.security,

@@ -64,7 +64,7 @@ def files_of(source: Path, *, folder: str) -> Iterator[SourceFile]:
             yield SourceFile(inner[1:], where, data)
 
 
-class _Bounds:
+class _SizeBounds:
     """Counts what was read, and refuses what is too much.
 
     Args:
@@ -89,7 +89,7 @@ class _Bounds:
 
 
 def _in_archive(source: Path) -> Iterator[tuple[tuple[str, ...], str, bytes]]:
-    last, bounds = str(source), _Bounds(source)
+    last, bounds = str(source), _SizeBounds(source)
     try:
         with tarfile.open(source, "r|gz") as archive:
             for member in archive:
@@ -120,7 +120,7 @@ def _parts(name: str, where: str) -> tuple[str, ...]:
 
 
 def _in_folder(source: Path) -> Iterator[tuple[tuple[str, ...], str, bytes]]:
-    bounds = _Bounds(source)
+    bounds = _SizeBounds(source)
     for folder, folders, names in os.walk(source, onerror=_cannot_be_read):
         folders.sort()
         for name in (*folders, *sorted(names)):

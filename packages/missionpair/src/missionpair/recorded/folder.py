@@ -30,7 +30,7 @@ RUNS_FILE, SOURCE_FILE, FORMAT = "runs.jsonl", "source.json", "missionpair/recor
 _MAX_LINE = 8 << 20
 
 
-class Source(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class MarkSource(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """What was imported.
 
     Args:
@@ -54,7 +54,7 @@ class Source(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 def import_agentdojo(
     source: Path, out: Path, *, show: Callable[[int], None] = lambda _: None
-) -> Source:
+) -> MarkSource:
     """Read a source distribution of AgentDojo, and write its runs and missions to a new folder.
 
     Args:
@@ -77,7 +77,7 @@ def import_agentdojo(
     return found
 
 
-def _write_runs(source: Path, out: Path, show: Callable[[int], None]) -> Source:
+def _write_runs(source: Path, out: Path, show: Callable[[int], None]) -> MarkSource:
     count, attacked, landed, pipelines = 0, 0, 0, set[str]()
     digest = sha256()
     with (out / RUNS_FILE).open("wb") as file:
@@ -91,7 +91,7 @@ def _write_runs(source: Path, out: Path, show: Callable[[int], None]) -> Source:
             show(count)
     if not source.is_dir():
         digest = sha256(source.read_bytes())
-    return Source(
+    return MarkSource(
         format=FORMAT,
         name=source.name,
         digest=b64(digest.digest()),
@@ -124,7 +124,7 @@ def _remove(folder: Path) -> None:
     folder.rmdir()
 
 
-def read_source(folder: Path) -> Source:
+def read_source(folder: Path) -> MarkSource:
     """Return what was imported into a folder.
 
     Raises:
@@ -132,7 +132,7 @@ def read_source(folder: Path) -> Source:
     """
     path = folder / SOURCE_FILE
     try:
-        found = msgspec.json.decode(path.read_bytes(), type=Source)
+        found = msgspec.json.decode(path.read_bytes(), type=MarkSource)
     except OSError as error:
         text = f"cannot be read: {error.strerror}; make it with `missionpair import agentdojo`"
         raise SourceError(text, where=str(path)) from error

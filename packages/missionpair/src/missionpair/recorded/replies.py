@@ -82,7 +82,7 @@ class _Record(Struct, forbid_unknown_fields=True, kw_only=True):
     messages: list[Raw] | None = None
 
 
-class _Answer(NamedTuple):
+class _ReadAnswer(NamedTuple):
     raw: bytes
     model: str = ""
     date: str = ""
@@ -117,28 +117,28 @@ class _ChainMessage(Struct):
     kwargs: _ChainMessage | None = None
 
 
-def _steps(record: _Record) -> _Answer:
-    return _Answer(_plan(bytes(step) for step in record.steps or ()))
+def _steps(record: _Record) -> _ReadAnswer:
+    return _ReadAnswer(_plan(bytes(step) for step in record.steps or ()))
 
 
-def _openai(record: _Record) -> _Answer:
+def _openai(record: _Record) -> _ReadAnswer:
     raw = bytes(record.response)
     said = msgspec.json.decode(raw, type=_Completion)
     date = datetime.fromtimestamp(said.created, UTC).date().isoformat() if said.created else ""
-    return _Answer(raw, said.model, date)
+    return _ReadAnswer(raw, said.model, date)
 
 
-def _mcp(record: _Record) -> _Answer:
+def _mcp(record: _Record) -> _ReadAnswer:
     steps = []
     for call in record.calls or ():
         asked = msgspec.json.decode(call, type=_ToolsCall)
         if asked.method != "tools/call":
             raise ValueError(f"expected the method `tools/call`, got `{asked.method[:80]}`")
         steps.append(_step(asked.params.name, asked.params.arguments))
-    return _Answer(_plan(steps))
+    return _ReadAnswer(_plan(steps))
 
 
-def _langchain(record: _Record) -> _Answer:
+def _langchain(record: _Record) -> _ReadAnswer:
     said = [_message(raw) for raw in record.messages or ()]
     answers = [one for one in said if one.type in {"ai", "AIMessage", "AIMessageChunk"}]
     if not answers:
@@ -146,8 +146,8 @@ def _langchain(record: _Record) -> _Answer:
     last = answers[-1]
     model = str(last.response_metadata.get("model_name", ""))
     if not last.tool_calls:
-        return _Answer(_text(last.content).encode(), model)
-    return _Answer(_plan(_step(call.name, call.args) for call in last.tool_calls), model)
+        return _ReadAnswer(_text(last.content).encode(), model)
+    return _ReadAnswer(_plan(_step(call.name, call.args) for call in last.tool_calls), model)
 
 
 def _message(raw: Raw) -> _ChainMessage:
@@ -172,7 +172,7 @@ def _plan(steps: Any) -> bytes:
 
 
 #: What each form is read by, and the field that it has.
-FORMS: dict[str, tuple[str, Callable[[_Record], _Answer]]] = {
+FORMS: dict[str, tuple[str, Callable[[_Record], _ReadAnswer]]] = {
     "steps": ("steps", _steps),
     "openai": ("response", _openai),
     "mcp": ("calls", _mcp),
@@ -229,7 +229,7 @@ def import_replies(
     return head, len(replies)
 
 
-def _read(form: str, source: Path) -> Iterator[tuple[str, _Record, _Answer]]:
+def _read(form: str, source: Path) -> Iterator[tuple[str, _Record, _ReadAnswer]]:
     field, reads = FORMS[form]
     for where, line in lines_of(source):
         try:

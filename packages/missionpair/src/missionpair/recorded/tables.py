@@ -30,7 +30,7 @@ TUNED = frozenset(
 TUNED_GROUP, HELD_OUT = "looked at", "held out"
 
 
-class Row(Struct, kw_only=True):
+class OutcomeRow(Struct, kw_only=True):
     """What one defense did with the runs of one group of pipelines.
 
     Args:
@@ -90,7 +90,7 @@ class Replay:
     """Counts runs as they come, in bounded memory."""
 
     def __init__(self) -> None:
-        self._rows: dict[tuple[str, str], Row] = {}
+        self._rows: dict[tuple[str, str], OutcomeRow] = {}
         self._remaining: Counter[tuple[str, ...]] = Counter()
         self.runs = 0
 
@@ -98,12 +98,12 @@ class Replay:
         """Count one run under one defense."""
         group = TUNED_GROUP if one.run.pipeline in TUNED else HELD_OUT
         key = (group, one.defense)
-        self._rows.setdefault(key, Row(group=group, defense=one.defense)).add(one)
+        self._rows.setdefault(key, OutcomeRow(group=group, defense=one.defense)).add(one)
         self._remaining.update({(group, *found) for found in _remaining(one)})
         self.runs += 1
 
     @property
-    def rows(self) -> list[Row]:
+    def rows(self) -> list[OutcomeRow]:
         """The rows, the group that was looked at first."""
         return [self._rows[key] for key in sorted(self._rows, key=lambda key: key[0] == HELD_OUT)]
 
@@ -139,7 +139,7 @@ def _remaining(one: ReplayedRun) -> Iterable[tuple[str, ...]]:
             yield (one.defense, "refusal", *named, call.tool, ", ".join(one.reasons[number]))
 
 
-def lines(rows: list[Row]) -> list[str]:
+def lines(rows: list[OutcomeRow]) -> list[str]:
     """Return the table for people."""
     head = ("runs", "defense", "attack's call ran", "one that changes", "task refused")
     body = [
@@ -162,7 +162,7 @@ def _told(share: Proportion) -> str:
     return f"{share.k}/{share.n} = {percent} [{100 * low:.1f}, {100 * high:.1f}]"
 
 
-def plain(rows: list[Row]) -> list[dict[str, Any]]:
+def plain(rows: list[OutcomeRow]) -> list[dict[str, Any]]:
     """Return the rows as `--json` prints them."""
     names = ("landed", "leaks", "changes", "refusals")
     return [
