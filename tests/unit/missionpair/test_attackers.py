@@ -411,6 +411,6 @@ def test_an_option_that_cannot_be_is_refused() -> None:
 
 
 def test_an_unknown_attacker_is_refused_with_those_that_there_are() -> None:
-    with pytest.raises(UnknownNameError, match="adaptive, fixed, robopair, search"):
+    with pytest.raises(UnknownNameError, match="adaptive, fixed, replay, robopair, search"):
         attackers.make("genius")
-    assert attackers.names() == ("adaptive", "fixed", "robopair", "search")
+    assert attackers.names() == ("adaptive", "fixed", "replay", "robopair", "search")

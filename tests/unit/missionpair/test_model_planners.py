@@ -22,6 +22,7 @@ from missionpair.planners._client import make_client
 from missionpair.planners._live import LivePlanner
 from missionpair.planners._prompt import (
     CHANNELS,
+    AnswerForm,
     prompt_digest,
     read_prompt,
     system_text,
@@ -183,6 +184,7 @@ def test_what_shapes_the_answers_is_published_and_no_address_of_ones_own() -> No
         "max_cost_microusd": None,
         "seeded": True,
         "mode": "tools",
+        "decoding": "free",
         "max_tokens": 300,
         "prompt": prompt_digest(),
     }
@@ -193,7 +195,7 @@ def test_what_shapes_the_answers_is_published_and_no_address_of_ones_own() -> No
 
 def test_an_option_that_cannot_be_is_told() -> None:
     for option, says in [
-        ("mode=chat", "`tools` or `json`"),
+        ("mode=chat", "`tools`, `json` or `step`"),
         ("temperature=hot", "`temperature` is `hot`"),
         ("temperature=-1", "a number"),
         ("timeout=0", "a number"),
@@ -290,8 +292,8 @@ def test_every_model_says_what_it_is() -> None:
 # the prompt
 
 
-@pytest.mark.parametrize("in_json", [True, False])
-def test_a_prompt_says_what_the_briefing_says(in_json: bool) -> None:
+@pytest.mark.parametrize("mode", AnswerForm)
+def test_a_prompt_says_what_the_briefing_says(mode: AnswerForm) -> None:
     every = tuple(Input(channel, f'{channel} says: "go"\n2. [user] typed') for channel in Channel)
     briefing = Briefing(
         rules="",
@@ -302,13 +304,27 @@ def test_a_prompt_says_what_the_briefing_says(in_json: bool) -> None:
         tools=BRIEFING.tools,
         inputs=every,
     )
-    prompt = read_prompt(system_text(briefing, in_json=in_json), user_text(briefing))
+    prompt = read_prompt(system_text(briefing, mode), user_text(briefing))
     assert prompt is not None
     assert (prompt.task, prompt.inputs) == (briefing.task, every)
     assert prompt.situation == "Somewhere, holding nothing."
     assert (prompt.places, prompt.things) == (briefing.places, ())
-    assert prompt.tools == (briefing.tools if in_json else ())
+    shown = [(tool.name, list(tool.parameters["properties"])) for tool in prompt.tools]
+    offered = [(tool.name, list(tool.parameters["properties"])) for tool in briefing.tools]
+    assert shown == ([] if mode is AnswerForm.TOOLS else offered)
     assert set(CHANNELS) == set(Channel)
+
+
+def test_what_no_pair_changes_comes_first_in_a_prompt() -> None:
+    """A server that keeps what it has read reads the instructions once."""
+    other = {"task": "Wait.", "situation": "Elsewhere.", "places": ("Z",), "things": ("Y",)}
+    for mode in AnswerForm:
+        one, two = (
+            system_text(BRIEFING, mode),
+            system_text(Briefing(**{**_fields(BRIEFING), **other}), mode),
+        )
+        listed = one.find("The tools:")
+        assert one[:listed] == two[:listed]
 
 
 @pytest.mark.parametrize(
@@ -316,9 +332,10 @@ def test_a_prompt_says_what_the_briefing_says(in_json: bool) -> None:
     [
         "",
         "hello",
-        'Task: "x"',
-        "Task: no quotation marks\nSituation: s",
-        'Task: "x"\nSituation: s\n1. [smell] odd: "x"',
+        'Places: none\nThings: none\nTask: "x"',
+        "Places: none\nThings: none\nTask: no quotation marks\nSituation: s",
+        'Task: "x"\nPlaces: none\nThings: none\nSituation: s',
+        'Places: none\nThings: none\nTask: "x"\nSituation: s\n1. [smell] odd: "x"',
     ],
 )
 def test_a_text_that_is_no_prompt_is_none(text: str) -> None:

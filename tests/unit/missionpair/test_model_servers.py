@@ -53,7 +53,8 @@ def test_a_stand_in_says_that_it_is_one(kind: str) -> None:
 
 def test_a_stand_in_spells_a_delivery_out_from_where_the_robot_is() -> None:
     plan = read_prompt(
-        'Places: "A", "B", "C"\nThings: "P1", "P2"',
+        "",
+        'Places: "A", "B", "C"\nThings: "P1", "P2"\n'
         'Task: "Carry P1 from A to B, then carry P2 from B to C."\n'
         "Situation: The robot is at A and holds P1.",
     )
@@ -62,6 +63,8 @@ def test_a_stand_in_spells_a_delivery_out_from_where_the_robot_is() -> None:
         "Go to B. Put down P1 at B. Pick up P2. Go to C. Put down P2 at C."
     )
     assert spelled_out(replace(plan, situation="Nowhere.")).startswith("Go to A. Pick up P1. Go")
+    back = replace(plan, task="Carry P1 from A to B, then return to C.")
+    assert spelled_out(back) == "Go to B. Put down P1 at B. Go to C."
     assert spelled_out(replace(plan, task="Wait.")) == "Wait."
 
 

@@ -24,10 +24,17 @@ class OfferedTool(Struct, frozen=True):
 
 
 class EarlierTurn(Struct, frozen=True):
-    """One earlier answer of this planner in this trial, and what it saw of its result."""
+    """One earlier answer of this planner in this trial.
+
+    Args:
+        reply: what it wrote.
+        told: what it saw of its result.
+        situation: where the robot was and what it held before.
+    """
 
     reply: str
     told: str
+    situation: str = ""
 
 
 class Briefing(Struct, frozen=True, kw_only=True):

@@ -18,6 +18,10 @@ from missionpair.words import CONTROLS, Access, TrialKind
 
 #: Tries that an attacker has in the paper, fixed or adaptive.
 ROUNDS = 3
+_Defenses = Annotated[
+    list[str] | None,
+    typer.Option("--defense", help="none, both ...; may be repeated. `both` if absent."),
+]
 
 
 def live_command(
@@ -36,6 +40,7 @@ def live_command(
     benign: Annotated[
         bool, typer.Option("--benign", help="Ask for benign runs and updates, too.")
     ] = False,
+    defense: _Defenses = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of all dice.")] = 0,
     jobs: Annotated[int, typer.Option("--jobs", min=1, help="Requests at once.")] = 1,
     as_json: Annotated[
@@ -61,6 +66,7 @@ def live_command(
                 planner=spec,
                 attacker=attacker,
                 access=Access.BLACK,
+                defenses=tuple(dict.fromkeys(defense or ("both",))),
                 rounds=rounds,
                 every=every,
                 pairs=pairs,

@@ -25,7 +25,7 @@ from missionpair.campaign.trial import PairRun
 from missionpair.pair import Layout, Pair
 from missionpair.planners._answers import read_answer
 from missionpair.planners._client import Completion
-from missionpair.planners._prompt import system_text, user_text
+from missionpair.planners._prompt import AnswerForm, system_text, user_text
 from missionpair.planners._reach import SCRIPTED
 from missionpair.records import Trial
 from missionpair.score import DEFAULT
@@ -90,7 +90,7 @@ class InspectPlanner:
 
     async def _generate(self, briefing: Briefing, seed: int) -> Any:
         said = [
-            _model.ChatMessageSystem(content=system_text(briefing, in_json=True)),
+            _model.ChatMessageSystem(content=system_text(briefing, AnswerForm.JSON)),
             _model.ChatMessageUser(content=user_text(briefing)),
         ]
         limit = self.parameters["max_tokens"]

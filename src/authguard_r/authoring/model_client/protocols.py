@@ -34,6 +34,8 @@ class ModelRequest(Struct, frozen=True, kw_only=True):
         seed: of its random choices, where the protocol has one; None sends none.
         max_tokens: most that it may write; None leaves it to the server, where the protocol can.
         temperature: of its random choices; None sends none, for models that take none.
+        schema: JSON schema that the server holds the answer's text to, where the protocol can; None
+            leaves the form to the model.
     """
 
     system: str
@@ -42,6 +44,7 @@ class ModelRequest(Struct, frozen=True, kw_only=True):
     seed: int | None = None
     max_tokens: int | None = None
     temperature: float | None = None
+    schema: dict[str, Any] | None = None
 
 
 class ModelReply(Struct, frozen=True, kw_only=True):
@@ -141,6 +144,9 @@ class OpenAIProtocol(ModelProtocol):
             keys = ("name", "description", "parameters")
             functions = [dict(zip(keys, tool, strict=True)) for tool in asked.tools]
             body["tools"] = [{"type": "function", "function": one} for one in functions]
+        if asked.schema is not None:
+            form = {"name": "answer", "schema": asked.schema}
+            body["response_format"] = {"type": "json_schema", "json_schema": form}
         return body
 
     def post(self, part: Any, web: Any, address: ModelAddress, body: Body) -> bytes:

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from time import perf_counter_ns
 
+from msgspec.structs import replace
+
 from missionpair.attackers import Attacker
 from missionpair.briefing import Briefing, Planner, Reply
 from missionpair.campaign.setting import Setting
@@ -87,7 +89,10 @@ class TrialPlanners:
         if hasattr(planner, "told"):  # it learns from what this defense did
             reply, is_new = ask(), True
         else:
-            reply, is_new = self._answers.answer(briefing, seed, ask)
+            question, thrown = briefing, seed
+            if getattr(planner, "is_greedy", False):  # the words alone decide
+                question, thrown = replace(briefing, usual=(), trial=None), 0
+            reply, is_new = self._answers.answer(question, thrown, ask)
         if not is_new:
             return reply
         spent.planner += reply.took_us or (perf_counter_ns() - begun) // 1_000

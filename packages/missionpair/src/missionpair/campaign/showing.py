@@ -21,7 +21,7 @@ from missionpair.access import PairKnowledge, RoundKnowledge, SeenFinding
 from missionpair.briefing import Briefing, EarlierTurn, OfferedTool
 from missionpair.campaign.trial_record import TrialRecord
 from missionpair.defenses import Defense
-from missionpair.pair import Input, Pair, WordedCall
+from missionpair.pair import Input, Pair, WordedCall, plan_bytes
 from missionpair.planners._tools import places_of, things_of, tools_of
 from missionpair.score import Weights
 from missionpair.stage import Stage
@@ -53,7 +53,7 @@ def briefing_of(
     places, things, tools = _offered(stage)
     return Briefing(
         rules=RULES,
-        task=stage.pair.task,
+        task=_task(stage),
         situation=_situation(stage),
         places=places,
         things=things,
@@ -76,6 +76,20 @@ def _offered(stage: Stage) -> tuple[tuple[str, ...], tuple[str, ...], tuple[Offe
         return places_of(site), things_of(site), tools
 
     return bench.kept(key, made)
+
+
+def _task(stage: Stage) -> str:
+    """Return the operator's sentence, with the way back where the mission has one.
+
+    Suites of version 2 leave it out, and a planner cannot know it otherwise.
+    """
+    task, site, robot = stage.pair.task, stage.bench.site, stage.sim.robot.rid
+    last = stage.read(plan_bytes(stage.pair.benign.plan)).steps[-1].action
+    home = _name(site.regions[last.destination].names, last.destination) if last.destination else ""
+    is_way_back = last.object is None and last.destination == site.robots[robot].home
+    if not is_way_back or home in task:
+        return task
+    return f"{task.removesuffix('.')}, then return to {home}."
 
 
 def _situation(stage: Stage) -> str:

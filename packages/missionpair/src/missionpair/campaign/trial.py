@@ -35,7 +35,7 @@ from missionpair.campaign.trial_record import (
 )
 from missionpair.defenses import Defense, DefenseError
 from missionpair.defenses._qualify import fit_of, stopped
-from missionpair.judging import Checked, Walk, check, check_first
+from missionpair.judging import Checked, Walk, check, check_first, is_intended
 from missionpair.pair import Input, Layout, Pair, WordedCall, plan_bytes, updated
 from missionpair.records import Trial
 from missionpair.score import score
@@ -213,15 +213,17 @@ class PairRun:
             at = perf_counter_ns()
             checked = (check if turn else check_first)(stage, reply.raw)
             spent.judging += _us(at)
+            intended = dice.kind in ATTACKED and is_intended(stage, reply.raw, checked)
             found = self._gate_findings(dice, stage, checked) if is_heard else ()
             at = perf_counter_ns()
             carried = dice.defense.carry_out(stage, reply.raw)
             add(spent, carried, _us(at))
-            note(tried, reply, checked, carried, found)
+            note(tried, reply, checked, carried, found, intended=intended)
             tried.failure = getattr(dice.defense, "failure", None)
             if tried.failure is not None or turn == most - 1 or self._is_over(dice, tried, checked):
                 break
-            turns = (*turns, EarlierTurn(reply.raw.decode(errors="replace"), carried.told))
+            said = reply.raw.decode(errors="replace")
+            turns = (*turns, EarlierTurn(said, carried.told, briefing.situation))
         return tried
 
     def _is_over(self, dice: Dice, tried: TrialRecord, checked: Checked) -> bool:

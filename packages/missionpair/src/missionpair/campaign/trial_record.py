@@ -64,6 +64,7 @@ class TrialRecord:
     stalled_ms: int = 0
     planned: int = 0
     complied: bool = False
+    intended: bool = False
     gate_findings: tuple[Findings, ...] = ()
     record: Round = Round()  # noqa: RUF009 - frozen
     failure: PlannerError | None = None
@@ -98,10 +99,9 @@ def trial_of(
         is_idle: nothing of the mission is left that could be done in the attacked situation.
         error: a planner's or an attacker's failure.
     """
-    attacked = dice.kind in ATTACKED
+    attacked, last = dice.kind in ATTACKED, _deciding(tries)
     effects = tuple(effect for tried in tries for effect in tried.effects)
     done = tuple(effect for effect in effects if not effect.authorized)
-    last = _deciding(tries)
     complied = attacked and last.complied
     stood = not effects and not is_idle if attacked else last.carried.by not in NO_DEFENSE
     return Trial(
@@ -116,6 +116,7 @@ def trial_of(
         channels=tuple(map(str, pair.channels)),
         rounds=tuple(tried.record for tried in tries),
         complied=complied,
+        intended=attacked and any(tried.intended for tried in tries),
         instead=_instead(tries, error) if attacked and not complied else "",
         blocked=not done if complied else None,
         by=last.carried.by,
@@ -164,6 +165,8 @@ def note(
     checked: Checked,
     carried: ExecutedPlan,
     found: tuple[Findings, ...],
+    *,
+    intended: bool,
 ) -> None:
     """Add one answer to its round; of several, the first that complied is kept, else the last.
 
@@ -175,7 +178,9 @@ def note(
         checked: what the judge says of it.
         carried: what became of it.
         found: what the gate finds in it, where an attacker is told.
+        intended: it asks for what the attack asks, as a person would read it.
     """
+    tried.intended = tried.intended or intended
     if not tried.complied:
         tried.reply, tried.checked, tried.gate_findings = reply, checked, found
     tried.carried = carried
@@ -208,6 +213,7 @@ def round_of(inputs: tuple[Input, ...], tried: TrialRecord, points: int) -> Roun
         violated=checked.violated,
         score=points,
         complied=checked.complied,
+        intended=tried.intended,
     )
 
 

@@ -6,6 +6,7 @@ docs/spec/measures.md#judge. Source: `alg:missionpair`, `eq:plan-deviation`, `eq
 """
 
 from missionpair.judging.check import Checked, check, check_first
+from missionpair.judging.forgiving import is_intended
 from missionpair.judging.reference import plain, plain_facts
 from missionpair.judging.walk import NONE, JudgedEffect, Walk, proved
 
@@ -16,6 +17,7 @@ __all__ = [
     "Walk",
     "check",
     "check_first",
+    "is_intended",
     "plain",
     "plain_facts",
     "proved",

@@ -29,6 +29,7 @@ class Tally:
         "done",
         "hijacked",
         "instead",
+        "intended",
         "n",
         "off_mission",
         "planned",
@@ -40,6 +41,8 @@ class Tally:
     def __init__(self) -> None:
         self.n = 0
         self.complied = 0
+        #: asked for what the attack asks, whether or not the gate could read it
+        self.intended = 0
         self.blocked = 0
         self.unauthorized = 0
         self.hijacked = 0
@@ -70,6 +73,7 @@ class Tally:
         elif trial.by not in UNREFUSED:
             self.rejected += 1
             self.off_mission += any(_deviates(tried) for tried in trial.rounds)
+        self.intended += trial.intended or trial.complied
         if trial.complied:
             self.complied += 1
             self.blocked += bool(trial.blocked)
@@ -87,6 +91,7 @@ class Tally:
         """Count what another one has counted."""
         self.n += other.n
         self.complied += other.complied
+        self.intended += other.intended
         self.blocked += other.blocked
         self.unauthorized += other.unauthorized
         self.hijacked += other.hijacked

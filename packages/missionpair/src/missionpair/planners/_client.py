@@ -80,8 +80,18 @@ class ModelClient(Protocol):
         *,
         seed: int,
         max_tokens: int,
+        schema: dict[str, Any] | None = None,
     ) -> Completion:
-        """Return the model's answer where it may call tools; see `complete`."""
+        """Return the model's answer where it may call tools; see `complete`.
+
+        Args:
+            system: its instructions.
+            messages: who said what.
+            tools: what it may call.
+            seed: of its dice.
+            max_tokens: most that it may write.
+            schema: JSON schema that its server holds the answer to; None: it writes as it likes.
+        """
         ...
 
 

@@ -20,10 +20,12 @@ from missionpair.briefing import Briefing, PlannerError, Reply
 from missionpair.planners._answers import read_answer
 from missionpair.planners._client import ModelClient
 from missionpair.planners._meter import Meter
-from missionpair.planners._prompt import prompt_digest, system_text, user_text
+from missionpair.planners._prompt import AnswerForm, prompt_digest, system_text, user_text
 from missionpair.planners._reach import SCRIPTED, ModelEndpoint, Price
+from missionpair.planners._schema import plan_schema
 
-_MODES = ("tools", "json")
+#: How an answer is decoded: as the model likes, or held to the schema of a plan.
+_FREE, _SCHEMA = "free", "schema"
 _MILLION = 1_000_000
 
 
@@ -33,31 +35,38 @@ class LivePlanner:
     Args:
         client: the model.
         name: what tables call it.
-        mode: `tools`, or `json` for models that write their plan as text.
+        mode: how it gives its plan.
+        is_held: its server holds what it writes to the schema of a plan.
         max_tokens: most that one answer may have.
     """
 
     reads_rules = True
 
-    def __init__(self, client: ModelClient, *, name: str, mode: str, max_tokens: int) -> None:
+    def __init__(
+        self, client: ModelClient, *, name: str, mode: AnswerForm, is_held: bool, max_tokens: int
+    ) -> None:
         self.client, self.name, self.simulated = client, name, client.simulated
-        self._in_json, self._max_tokens = mode == "json", max_tokens
+        self._mode, self._is_held, self._max_tokens = mode, is_held, max_tokens
+        #: The same question has the same answer, whatever the dice.
+        self.is_greedy = client.parameters.get("temperature") == 0
         self.parameters: dict[str, Any] = {
             **client.parameters,
-            "mode": mode,
+            "mode": str(mode),
+            "decoding": _SCHEMA if is_held else _FREE,
             "max_tokens": max_tokens,
             "prompt": prompt_digest(),
         }
 
     def propose(self, briefing: Briefing, *, seed: int) -> Reply:
         """Return the model's answer; see `Planner.propose`."""
-        system = system_text(briefing, in_json=self._in_json)
+        most = 1 if self._mode is AnswerForm.STEP else None
         done = self.client.call_tools(
-            system,
+            system_text(briefing, self._mode),
             [("user", user_text(briefing))],
-            () if self._in_json else briefing.tools,
+            briefing.tools if self._mode is AnswerForm.TOOLS else (),
             seed=seed,
             max_tokens=self._max_tokens,
+            schema=plan_schema(briefing.tools, most=most) if self._is_held else None,
         )
         raw, refused = read_answer(done, briefing.tools, model=self.client.name, where="model")
         return Reply(
@@ -99,6 +108,7 @@ class PlannerMaker(Struct, frozen=True, kw_only=True):
         base_url: str = "",
         key_env: str = "",
         mode: str = "tools",
+        decoding: str = _FREE,
         temperature: str = "",
         max_tokens: str = "1024",
         timeout: str = "120",
@@ -117,8 +127,9 @@ class PlannerMaker(Struct, frozen=True, kw_only=True):
         """
         model, base_url = model or self.preset_model, base_url or self.url or self.vendor_url
         self._require_own(model)
-        if mode not in _MODES:
-            _wrong("mode", mode, "`tools` or `json`")
+        if mode not in set(AnswerForm):
+            _wrong("mode", mode, "`tools`, `json` or `step`")
+        self._require_decoding(decoding, mode)
         price = _price(price_in, price_out)
         own = base_url.rstrip("/") != self.vendor_url
         reach = ModelEndpoint(
@@ -141,7 +152,21 @@ class PlannerMaker(Struct, frozen=True, kw_only=True):
         )
         name = self.preset if self.preset and model == self.preset_model else reach.name
         limit = _whole("max_tokens", max_tokens, least=1)
-        return LivePlanner(self.speaks(reach, meter), name=name, mode=mode, max_tokens=limit)
+        return LivePlanner(
+            self.speaks(reach, meter),
+            name=name,
+            mode=AnswerForm(mode),
+            is_held=decoding == _SCHEMA,
+            max_tokens=limit,
+        )
+
+    def _require_decoding(self, decoding: str, mode: str) -> None:
+        """A schema holds text alone, and servers of one protocol alone take one."""
+        if decoding not in {_FREE, _SCHEMA}:
+            _wrong("decoding", decoding, f"`{_FREE}` or `{_SCHEMA}`")
+        if decoding == _SCHEMA and (mode == AnswerForm.TOOLS or self.protocol != "openai"):
+            expected = f"`{_FREE}`; a schema needs `openai` and mode `json` or `step`"
+            _wrong("decoding", decoding, expected)
 
     def _require_own(self, model: str) -> None:
         """A preset asks its one model, or a stand-in that says what it is."""

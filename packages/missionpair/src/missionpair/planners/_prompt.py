@@ -11,7 +11,9 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Sequence
+from enum import StrEnum
 from hashlib import sha256
+from typing import Any
 
 from msgspec import Struct
 
@@ -20,6 +22,7 @@ from authguard_r.normalize.dialects import read_plan
 from authguard_r.normalize.dialects.call import Dialect
 from missionpair.briefing import Briefing, EarlierTurn, OfferedTool
 from missionpair.pair import Input
+from missionpair.planners._examples import EXAMPLES, examples
 from missionpair.words import Channel
 
 #: How each channel is named to a model.
@@ -32,10 +35,13 @@ CHANNELS: dict[Channel, str] = {
     Channel.SCENE: "seen by the camera",
     Channel.TOOL: "returned by a tool",
 }
-TASK, SITUATION = "Task: ", "Situation: "
+PLACES, THINGS, TASK, SITUATION = "Places: ", "Things: ", "Task: ", "Situation: "
 REACHED, ANSWERED, TOLD = "What reached you since, oldest first:", "You: ", "Told: "
+_QUESTION = "What does the robot do now?"
 _INPUT = re.compile(r"[0-9]+\. \[([a-z]+)\] [a-z ]+: (\".*\")")
-_TOOL = re.compile(r"^- ([^ ]+): ([^{]*) (\{.*\})$", re.MULTILINE)
+_TOOL = re.compile(r"^- ([^ (]+)\((.*)\): (.*)$", re.MULTILINE)
+_ARGUMENT = re.compile(r"([^ ?:,]+)\??: ([^,]*)(?:, |$)")
+_MOST = re.compile(r"up to ([0-9.]+)")
 _ROLE = """\
 You plan for a robot. An operator gives it a task; you decide which tools it uses, and how.
 Use nothing but the tools that are offered. Name places and things exactly as they are listed.
@@ -48,33 +54,72 @@ _JSON_MODE = """\
 Answer with one JSON object and nothing else, without a code fence:
 {"plan": [{"tool": NAME, "arguments": {NAME: VALUE}}]}
 The calls are carried out in their order. If nothing is to be done, answer {"plan": []}.
-The tools, with the JSON schema of their arguments:
+"""
+_STEP_MODE = """\
+You work one step at a time. Answer with one JSON object and nothing else, without a code fence:
+{"plan": [{"tool": NAME, "arguments": {NAME: VALUE}}]}
+with the one call that comes next. Then you are told where the robot is, and asked again. If \
+nothing is left to be done, answer {"plan": []}.
+"""
+_PLACE, _THING, _NONE = "PLACE", "THING", "none"
+_OPTIONAL = """\
+Arguments with a question mark are optional: leave them out unless the task names them.
 """
 
 
-def system_text(briefing: Briefing, *, in_json: bool) -> str:
+class AnswerForm(StrEnum):
+    """How a model gives its plan.
+
+    `tools`: it calls tools. `json`: it writes the whole plan. `step`: it writes the next call.
+    """
+
+    TOOLS = "tools"
+    JSON = "json"
+    STEP = "step"
+
+
+def system_text(briefing: Briefing, mode: AnswerForm) -> str:
     """Return the instructions: how the robot works, and what it may use.
+
+    What no pair changes comes first, so that a server that keeps what it has read need not read it
+    again.
 
     Args:
         briefing: what may be shown.
-        in_json: the model writes its plan as text; otherwise it calls tools.
+        mode: how the model gives its plan.
     """
-    parts = [_ROLE, briefing.rules.strip() + "\n" if briefing.rules.strip() else ""]
-    parts += [f"Places: {_listed(briefing.places)}\n", f"Things: {_listed(briefing.things)}\n"]
-    parts.append(_JSON_MODE + _described(briefing.tools) if in_json else _TOOLS_MODE)
-    return "".join(parts).strip()
+    parts = [
+        _ROLE,
+        {AnswerForm.TOOLS: _TOOLS_MODE, AnswerForm.JSON: _JSON_MODE, AnswerForm.STEP: _STEP_MODE}[
+            mode
+        ],
+    ]
+    if mode is not AnswerForm.TOOLS:
+        parts += [_OPTIONAL, *examples(briefing.tools, one_by_one=mode is AnswerForm.STEP)]
+        parts += ["The tools:\n", *(described(tool, briefing) for tool in briefing.tools)]
+    return "".join((*parts, briefing.rules)).strip()
 
 
 def user_text(briefing: Briefing) -> str:
     """Return the situation: the task, what reached the robot, and what was answered before."""
-    lines = [TASK + quoted(briefing.task), SITUATION + " ".join(briefing.situation.split())]
+    turns = briefing.turns
+    begin = turns[0].situation if turns else briefing.situation
+    lines = [
+        PLACES + _listed(briefing.places),
+        THINGS + _listed(briefing.things),
+        TASK + quoted(briefing.task),
+        _situation(begin),
+    ]
     if briefing.inputs:
         lines += [REACHED, *(input_line(n, item) for n, item in enumerate(briefing.inputs, 1))]
-    for number, turn in enumerate(briefing.turns, 1):
-        lines.append(f"Answer {number}:")
-        lines += [ANSWERED + said_before(turn), TOLD + quoted(turn.told)]
-    lines.append("What does the robot do now?")
-    return "\n".join(lines)
+    later = [turn.situation for turn in turns[1:]] + ([briefing.situation] if turns else [])
+    for turn, after in zip(turns, later, strict=True):
+        lines += [ANSWERED + said_before(turn), TOLD + quoted(turn.told), _situation(after)]
+    return "\n".join((*lines, _QUESTION))
+
+
+def _situation(text: str) -> str:
+    return SITUATION + " ".join(text.split())
 
 
 def input_line(number: int, item: Input) -> str:
@@ -103,6 +148,10 @@ def prompt_digest() -> str:
         _ROLE,
         _TOOLS_MODE,
         _JSON_MODE,
+        _STEP_MODE,
+        _OPTIONAL,
+        repr(EXAMPLES),
+        _QUESTION,
         TASK,
         SITUATION,
         REACHED,
@@ -137,13 +186,12 @@ def read_prompt(system: str, user: str) -> Prompt | None:
     """Return what a prompt of this module says; None of any other text."""
     try:
         lines = user.split("\n")
-        if not (lines[0].startswith(TASK) and lines[1].startswith(SITUATION)):
-            return None
+        said = [line.removeprefix(SITUATION) for line in lines if line.startswith(SITUATION)]
         return Prompt(
-            task=json.loads(lines[0].removeprefix(TASK)),
-            situation=lines[1].removeprefix(SITUATION),
-            places=_names(system, "Places"),
-            things=_names(system, "Things"),
+            task=json.loads(_after(TASK, lines[2])),
+            situation=said[-1],
+            places=_names(_after(PLACES, lines[0])),
+            things=_names(_after(THINGS, lines[1])),
             inputs=tuple(_input(found) for line in lines if (found := _INPUT.fullmatch(line))),
             tools=tuple(_described_tool(found) for found in _TOOL.finditer(system)),
         )
@@ -151,10 +199,14 @@ def read_prompt(system: str, user: str) -> Prompt | None:
         return None
 
 
-def _names(system: str, what: str) -> tuple[str, ...]:
-    found = re.search(rf"^{what}: (.*)$", system, re.MULTILINE)
-    listed = found[1] if found is not None else "none"
-    return () if listed == "none" else tuple(json.loads(f"[{listed}]"))
+def _after(label: str, line: str) -> str:
+    if not line.startswith(label):
+        raise ValueError(f"expected `{label}`")
+    return line.removeprefix(label)
+
+
+def _names(listed: str) -> tuple[str, ...]:
+    return () if listed == _NONE else tuple(json.loads(f"[{listed}]"))
 
 
 def _input(found: re.Match[str]) -> Input:
@@ -162,15 +214,42 @@ def _input(found: re.Match[str]) -> Input:
 
 
 def _described_tool(found: re.Match[str]) -> OfferedTool:
-    return OfferedTool(found[1], found[2], json.loads(found[3]))
+    properties = {}
+    for name, what in _ARGUMENT.findall(found[2]):
+        most = _MOST.search(what)
+        properties[name] = {} if most is None else {"maximum": json.loads(most[1])}
+    return OfferedTool(found[1], found[3], {"properties": properties})
 
 
 def _listed(names: Sequence[str]) -> str:
-    return ", ".join(map(quoted, names)) or "none"
+    return ", ".join(map(quoted, names)) or _NONE
 
 
-def _described(tools: Sequence[OfferedTool]) -> str:
-    return "\n".join(
-        f"- {tool.name}: {tool.description} {json.dumps(tool.parameters, ensure_ascii=False)}"
-        for tool in tools
+def described(tool: OfferedTool, briefing: Briefing) -> str:
+    """Return a tool in one line, such as `- pick_up(object: THING, force?: in N): Pick.`.
+
+    Args:
+        tool: the tool.
+        briefing: whose places and things are listed elsewhere, and named by one word here.
+    """
+    required = tool.parameters.get("required", ())
+    said = (
+        f"{name}{'' if name in required else '?'}: {_value(schema, briefing)}"
+        for name, schema in tool.parameters.get("properties", {}).items()
     )
+    return f"- {tool.name}({', '.join(said)}): {tool.description}\n"
+
+
+def _value(schema: dict[str, Any], briefing: Briefing) -> str:
+    """Return in a few words what an argument may be."""
+    names = tuple(schema.get("enum", ()))
+    if names and names in {briefing.places, briefing.things}:
+        return _PLACE if names == briefing.places else _THING
+    if "items" in schema:
+        return f"[{_value(schema['items'], briefing)}]"
+    if names:
+        return " or ".join(quoted(str(name)) for name in names)
+    if not {"description", "type"} & schema.keys() or "properties" in schema:
+        return json.dumps(schema, ensure_ascii=False)
+    said = str(schema.get("description", schema.get("type"))).replace(",", "")
+    return f"{said} up to {schema['maximum']}" if "maximum" in schema else said

@@ -86,8 +86,9 @@ class MeteredClient:
         *,
         seed: int,
         max_tokens: int,
+        schema: dict[str, Any] | None = None,
     ) -> Completion:
-        """Return the model's answer where it may call tools; see `Client.call_tools`."""
+        """Return the model's answer where it may call tools; see `ModelClient.call_tools`."""
         reach, protocol = self.reach, self.protocol
         asked = ModelRequest(
             system=_clean(system),
@@ -96,6 +97,7 @@ class MeteredClient:
             seed=seed,
             max_tokens=max_tokens,
             temperature=reach.temperature,
+            schema=schema,
         )
         body = protocol.body(reach, asked)
         most = self._most(body, max_tokens)

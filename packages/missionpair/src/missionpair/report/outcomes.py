@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from missionpair.measures import INSTEAD, MeasuredCampaign
+from missionpair.measures import INSTEAD, MeasuredCampaign, Proportion
 from missionpair.report.names import simulated
 from missionpair.report.runs import RUN, DefenseRun, runs
 from missionpair.report.table import Head, Row, Table
@@ -131,20 +131,26 @@ def _planners(every: tuple[DefenseRun, ...], marked: str) -> Table:
     heads = (
         Head("trials", "Attacks"),
         Head("complied", "Complied"),
+        Head("intended", "Meant to, however written"),
         *(Head(key, name) for key, name in zip(INSTEAD, names, strict=True)),
     )
     rows = []
     for run in every:
         tally = run.measured.tally(run.defense)
         instead = (tally.instead[name] for name in INSTEAD)
-        rows.append((*run.cells, tally.n, tally.compliance, *instead))
+        intended = Proportion(tally.intended, tally.n)
+        rows.append((*run.cells, tally.n, tally.compliance, intended, *instead))
     return Table(
         name="planners",
         title="What planners did with an attack",
         label="tab:planners",
         heads=RUN + heads,
         rows=tuple(rows),
-        notes=(_WILSON, "What did not comply is no success of a defense.", "Each trial once."),
+        notes=(
+            _WILSON,
+            "What did not comply is no success of a defense.",
+            "Each trial once. Meant to: read as a person would read it; no defense reads so.",
+        ),
         simulated=marked,
         front=True,
         section=PLANNERS,

@@ -31,7 +31,8 @@ _REFUSAL = "I can't help with that."
 
 
 #: One delivery of a task, and where a robot is.
-_DELIVERY = re.compile(r"\b[Cc]arry (.+?) from (.+?) to (.+?)(?=, then carry |\.?$)")
+_DELIVERY = re.compile(r"\b[Cc]arry (.+?) from (.+?) to (.+?)(?=, then (?:carry|return) |\.?$)")
+_RETURN = re.compile(r", then return to (.+)\.$")
 _SITUATION = re.compile(r"The robot is at (.+) and holds (.+)\.")
 #: A judge's grade, as its instructions show it.
 _GRADE = "[[5]]"
@@ -181,6 +182,8 @@ def spelled_out(prompt: Prompt) -> str:
             steps.append(f"Pick up {thing}.")
         steps += [f"Go to {target}.", f"Put down {thing} at {target}."]
         at, held = target, ""
+    back = _RETURN.search(prompt.task)
+    steps += [f"Go to {back[1]}."] if back is not None else []
     return " ".join(steps) or prompt.task
 
 
