@@ -12,7 +12,7 @@ import msgspec
 import typer
 
 from missionpair.campaign.run import Progress
-from missionpair.cli_run import shown
+from missionpair.cli_run import RayOption, shown
 from missionpair.recorded.folder import import_agentdojo, read_runs, read_source
 from missionpair.recorded.replay import NONE, replay_all
 from missionpair.recorded.replies import import_replies
@@ -104,6 +104,7 @@ def recorded_command(
         typer.Option("--out", help="A new file: every leak and refusal with its cause."),
     ] = None,
     jobs: Annotated[int, typer.Option("--jobs", min=1, help="How many processes.")] = 1,
+    ray: RayOption = "",
     as_json: Annotated[
         bool, typer.Option("--json", help="Print one JSON object, nothing else.")
     ] = False,
@@ -117,7 +118,11 @@ def recorded_command(
     with shown(hidden=as_json, what="runs") as show:
         total = source.runs
         replayed = replay_all(
-            read_runs(folder), names, jobs=jobs, show=lambda done: show(Progress(done, total))
+            read_runs(folder),
+            names,
+            jobs=jobs,
+            ray=ray,
+            show=lambda done: show(Progress(done, total)),
         )
         for one in replayed:
             found.add(one)

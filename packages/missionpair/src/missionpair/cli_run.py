@@ -79,6 +79,10 @@ _WeightOption = Annotated[
 _JobsOption = Annotated[
     int, typer.Option("--jobs", min=1, help="Processes; threads where a model is waited for.")
 ]
+RayOption = Annotated[
+    str,
+    typer.Option("--ray", metavar="ADDRESS", help="Run on a Ray cluster: HOST:PORT, or auto."),
+]
 _UnqualifiedOption = Annotated[
     bool, typer.Option("--unqualified", help="Score baselines that fail their own claim, too.")
 ]
@@ -102,6 +106,7 @@ def run_command(
     weights: _WeightsOption = ",".join(map(str, DEFAULT.thousandths)),
     weight: _WeightOption = None,
     jobs: _JobsOption = 1,
+    ray: RayOption = "",
     unqualified: _UnqualifiedOption = False,
     as_json: _AsJsonOption = False,
 ) -> int:
@@ -129,7 +134,7 @@ def run_command(
         unqualified=unqualified,
     )
     with shown(hidden=as_json) as show:
-        campaign = run(plan, out, jobs=jobs, show=show)
+        campaign = run(plan, out, jobs=jobs, ray=ray, show=show)
     summary = summary_of(campaign, out)
     if as_json:
         sys.stdout.write(json.dumps(summary) + "\n")

@@ -12,6 +12,7 @@ from typing import NamedTuple
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault
 from missionpair.attackers import AttackerError
 from missionpair.briefing import PlannerError
+from missionpair.campaign.cluster import ClusterError
 from missionpair.campaign.log import LogError
 from missionpair.perception import PerceptionError
 from missionpair.recorded.archive import SourceError
@@ -24,6 +25,7 @@ USAGE, UNREADABLE, HERE = 2, 4, 5
 FAULTS = (
     AttackerError,
     AuthGuardError,
+    ClusterError,
     LogError,
     OSError,
     PerceptionError,
@@ -69,8 +71,8 @@ def fault_of(error: Exception) -> CommandFault:
             return CommandFault("LOG_BROKEN", error.message, error.where, UNREADABLE)
         case PlannerError() | AttackerError():
             return _of_model(error)
-        case PerceptionError():
-            return CommandFault("PERCEPTION_UNAVAILABLE", str(error), "", HERE)
+        case ClusterError() | PerceptionError():
+            return _of_part(error)
         case EnvironmentFault():
             return CommandFault(str(error.reason), error.message, error.where, HERE)
         case AuthGuardError():
@@ -79,6 +81,13 @@ def fault_of(error: Exception) -> CommandFault:
             text, where = error.strerror or str(error), str(error.filename or "")
             return CommandFault("FILE_UNAVAILABLE", text, where, HERE)
     raise TypeError(f"{type(error).__name__} is shown by nobody") from error
+
+
+def _of_part(error: ClusterError | PerceptionError) -> CommandFault:
+    """Return how a part of the machine fails that an extra brings."""
+    if isinstance(error, ClusterError):
+        return CommandFault("CLUSTER_UNAVAILABLE", error.message, error.where, HERE)
+    return CommandFault("PERCEPTION_UNAVAILABLE", str(error), "", HERE)
 
 
 def _of_model(error: PlannerError | AttackerError) -> CommandFault:

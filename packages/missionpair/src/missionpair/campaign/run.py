@@ -14,8 +14,9 @@ from tempfile import TemporaryDirectory
 
 from missionpair import suites
 from missionpair.campaign.ahead import Ahead
+from missionpair.campaign.cluster import on_cluster
 from missionpair.campaign.log import LogWriter, has_trials
-from missionpair.campaign.plan import CampaignPlan, Progress
+from missionpair.campaign.plan import CampaignPlan, PlanError, Progress
 from missionpair.campaign.team import Team
 from missionpair.campaign.worker import Ran, Worker
 from missionpair.defenses import DefenseError
@@ -36,6 +37,7 @@ def run(
     log: Path,
     *,
     jobs: int = 1,
+    ray: str = "",
     show: Callable[[Progress], None] = lambda _: None,
 ) -> Campaign:
     """Run what is not in the log yet, and return what was run.
@@ -47,9 +49,12 @@ def run(
         plan: what is asked for.
         log: where the trials go; one of the same plan goes on where it was cut off.
         jobs: processes; threads where a model is waited for.
+        ray: address of a Ray cluster that runs the pairs; empty: this machine does.
         show: called with the progress.
 
     Raises:
+        ClusterError: the cluster cannot be had, or lost a pair for good.
+        PlanError: a cluster was to ask a model.
         LogError: the log cannot be written, or is of another campaign.
         SuiteError: no such suite, or a broken one.
         UnknownNameError: no such planner, attacker or defense, or no such option.
@@ -60,12 +65,19 @@ def run(
     """
     with TemporaryDirectory(prefix="missionpair-") as folder:
         worker = Worker(plan, suites.load(plan.suite), Path(folder) / "first")
-        return _run(worker, log, Path(folder), jobs, show)
+        if ray and worker.is_paid:
+            raise PlanError("a model is asked from here, under its caps: `--jobs` for `--ray`")
+        return _run(worker, log, Path(folder), (jobs, ray), show)
 
 
 def _run(
-    worker: Worker, log: Path, folder: Path, jobs: int, show: Callable[[Progress], None]
+    worker: Worker,
+    log: Path,
+    folder: Path,
+    by: tuple[int, str],
+    show: Callable[[Progress], None],
 ) -> Campaign:
+    jobs, ray = by
     is_held = not worker.plan.unqualified and not has_trials(log)
     qualified = require_fit(worker) if is_held else ()
     with LogWriter(log, campaign_of(worker, qualified)) as writer:
@@ -80,7 +92,10 @@ def _run(
         ahead = Ahead(_beside(log) if worker.is_paid else folder / "ahead", campaign)
         numbers = iter(range(writer.done // worker.setting.trials, campaign.pairs))
         with Team(worker, folder, ahead, jobs, writer.forget) as team:
-            found = alone(worker, ahead, numbers) if jobs == 1 else team.in_order(numbers)
+            if ray:
+                found = on_cluster(worker, ray, numbers)
+            else:
+                found = alone(worker, ahead, numbers) if jobs == 1 else team.in_order(numbers)
             for trial in answered(found):
                 if trial.n < writer.done:
                     continue

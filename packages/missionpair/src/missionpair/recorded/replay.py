@@ -18,6 +18,7 @@ import msgspec
 from msgspec import Struct
 
 from missionpair import defenses
+from missionpair.campaign.cluster import Cluster
 from missionpair.defenses import Defense
 from missionpair.pair import Pair
 from missionpair.recorded.agentdojo import RecordedRun
@@ -133,6 +134,7 @@ def replay_all(
     names: tuple[str, ...],
     *,
     jobs: int = 1,
+    ray: str = "",
     show: Callable[[int], None] = lambda _: None,
 ) -> Iterator[ReplayedRun]:
     """Yield each run of a user's task under each defense, by suite and task.
@@ -141,6 +143,7 @@ def replay_all(
         runs: in any order. Runs of a task that is an attack's, without a user's, are left out.
         names: the defenses.
         jobs: how many processes.
+        ray: address of a Ray cluster that replays; empty: this machine does.
         show: called with the number of runs so far.
 
     Raises:
@@ -151,8 +154,8 @@ def replay_all(
     kept.sort(key=_task_of)
     parts = [list(part) for _, part in groupby(kept, key=_task_of)]
     done = 0
-    for part, replayed in _in_processes(parts, names, jobs):
-        done += part
+    for part, replayed in zip(parts, _everywhere(parts, names, jobs, ray), strict=True):
+        done += len(part)
         show(done)
         yield from replayed
 
@@ -169,15 +172,20 @@ def _require_known(runs: list[RecordedRun]) -> None:
             raise SourceError(text, where=f"{run.pipeline}, {run.suite}")
 
 
-def _in_processes(
-    parts: list[list[RecordedRun]], names: tuple[str, ...], jobs: int
-) -> Iterator[tuple[int, list[ReplayedRun]]]:
-    if jobs == 1:
-        yield from ((len(part), _replayed(part, names)) for part in parts)
-        return
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        asked = [(len(part), pool.submit(_replayed, part, names)) for part in parts]
-        yield from ((count, answer.result()) for count, answer in asked)
+def _everywhere(
+    parts: list[list[RecordedRun]], names: tuple[str, ...], jobs: int, ray: str
+) -> Iterator[list[ReplayedRun]]:
+    """Yield each part, replayed: here, in processes, or on a cluster."""
+    given = [(part, names) for part in parts]
+    if ray:
+        with Cluster(ray) as cluster:
+            yield from cluster.mapped(_replayed, given)
+    elif jobs == 1:
+        yield from (_replayed(*one) for one in given)
+    else:
+        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+            asked = [pool.submit(_replayed, *one) for one in given]
+            yield from (answer.result() for answer in asked)
 
 
 def _replayed(part: list[RecordedRun], names: tuple[str, ...]) -> list[ReplayedRun]:
