@@ -339,7 +339,20 @@ def test_what_is_simulated_is_marked_in_every_table_plot_and_remark() -> None:
     assert found.remarks[0].startswith("Simulated: planner graded.")
     assert "[simulated: planner graded]" in "\n".join(lines(found))
     assert cells(table(found, "crossmodel"), 0)[0] == "graded (simulated)"
-    assert cells(table(found, "crossmodel"), 1)[0] == "All trials"
+    assert cells(table(found, "crossmodel"), 1)[0] == "All simulated trials"
+
+
+def test_live_recorded_and_simulated_trials_are_summed_apart() -> None:
+    planners = (GRADED, HAIKU, NamedPart("replay", parameters={"planner": {"name": "haiku"}}))
+    found = report([live(planner, FIXED, {"goal": n}) for n, planner in enumerate(planners, 1)])
+    shown = table(found, "crossmodel")
+    sums = {cells(shown, row)[0]: cells(shown, row)[2] for row in range(3, 6)}
+    assert {name: text.partition("/")[0] for name, text in sums.items()} == {
+        "All simulated trials": "1",
+        "All live trials": "2",
+        "All recorded trials": "3",
+    }
+    assert cells(shown, 2)[0] == "replay of haiku (recorded)"
 
 
 def test_what_is_real_has_no_mark_and_a_simulated_defense_marks_its_own_rows() -> None:

@@ -62,8 +62,13 @@ def planner(named: NamedPart) -> Cell:
     found = match(named)
     if found is not None:
         return LatexName(found.name, found.tex)
-    model = named.parameters.get("model")
-    name = printable(f"{named.name} ({model})" if isinstance(model, str) else named.name)
+    model, replayed = named.parameters.get("model"), named.parameters.get("planner")
+    name = named.name
+    if isinstance(model, str) and model not in name:
+        name = f"{name} ({model})"
+    elif isinstance(replayed, dict) and isinstance(replayed.get("name"), str):
+        name = f"{name} of {replayed['name']}"
+    name = printable(name)
     if standing(named) == RECORDED:
         return f"{name} (recorded)"
     return _marked(name, simulated=named.simulated)

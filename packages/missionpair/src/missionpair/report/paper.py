@@ -15,6 +15,7 @@ from missionpair.report.names import (
     GATES,
     LIVE_ROWS,
     SHORT,
+    SIMULATED,
     SYSTEMS,
     attack,
     category,
@@ -24,6 +25,7 @@ from missionpair.report.names import (
     printable,
     simulated,
     slug,
+    standing,
 )
 from missionpair.report.published import Live, published
 from missionpair.report.runs import DefenseRun, runs
@@ -109,22 +111,28 @@ def live_table(run: DefenseRun, *, main: bool) -> Table:
 
 
 def crossmodel_table(chosen: list[DefenseRun]) -> Table:
-    """Return one row for each planner and attack, and their sum: `tab:pilot-crossmodel`.
+    """Return one row for each planner and attack, and their sums: `tab:pilot-crossmodel`.
 
-    The paper's label and caption stand over its own experiments alone.
+    What models answered now, what they answered before, and what stands for something that was not
+    run are summed apart. The paper's label and caption stand over its own experiments alone.
     """
     known = [live(run.measured, run.defense) for run in chosen]
     beside = any(known)
     rows: list[Row] = []
-    total = blocked = Proportion(0, 0)
+    sums: dict[str, tuple[Proportion, Proportion, list[Live]]] = {}
     for run, found in zip(chosen, known, strict=True):
         tally = run.measured.tally(run.defense)
-        total, blocked = total + tally.compliance, blocked + tally.blocking
+        named = run.measured.campaign.planner
+        kind = SIMULATED if simulated([run.measured]) else standing(named)
+        total, blocked, those = sums.get(kind, (Proportion(0, 0), Proportion(0, 0), []))
+        those = [*those, found] if found else those
+        sums[kind] = (total + tally.compliance, blocked + tally.blocking, those)
         printed = _summed([found] if found else []) if beside else ()
-        who = planner(run.measured.campaign.planner)
-        rows.append((who, _attack(run), tally.compliance, tally.blocking, *printed))
-    marked = simulated(run.measured for run in chosen)
-    sums = _summed([one for one in known if one]) if beside else ()
+        rows.append((planner(named), _attack(run), tally.compliance, tally.blocking, *printed))
+    foot = tuple(
+        (f"All {kind} trials", None, total, blocked, *(_summed(those) if beside else ()))
+        for kind, (total, blocked, those) in sums.items()
+    )
     told = published().crossmodel
     is_papers = all(known)
     under = ", ".join(f"log {run.number} {printable(run.defense)}" for run in chosen)
@@ -135,9 +143,9 @@ def crossmodel_table(chosen: list[DefenseRun]) -> Table:
         label=told.label if is_papers else "tab:crossmodel",
         heads=_CROSS + (_CROSS_PUBLISHED if beside else ()),
         rows=tuple(rows),
-        foot=(("All trials" if marked else "All live trials", None, total, blocked, *sums),),
+        foot=foot,
         notes=(_CONDITIONAL, f"Defense: {under}.", "Published sums are of the rows shown."),
-        simulated=marked,
+        simulated=simulated(run.measured for run in chosen),
         front=True,
         section=SECTION,
     )
