@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run MissionPAIR on small language models of this machine, from nothing to the paper's tables.
 
-    python benchmarks/live_models.py DIR --model qwen             every campaign of docs/reference/campaigns.md
+    python benchmarks/live_models.py DIR --model qwen             every campaign on the model
     python benchmarks/live_models.py DIR --model qwen --only fixed
     python benchmarks/live_models.py DIR --model gemma --only harness
 
-Models and server come as Python packages, and are held to digests; building the server takes a
-quarter of an hour. A campaign takes hours on two cores: a second start goes on where the first was
+Models and server come as Python packages; the models' files are held to digests. Building the server
+takes a quarter of an hour, and needs CMake and a C++ compiler. A campaign takes hours on two cores: a second start goes on where the first was
 ended. Nothing listens but on loopback. How-to: docs/howto/missionpair-models.md#models-of-this-machine
 """  # noqa: E501
 
@@ -155,13 +155,15 @@ def main() -> None:
     asked = parser.parse_args()
     asked.folder.mkdir(parents=True, exist_ok=True)
     model, programs = MODELS[asked.model], environment(asked.folder)
+    part = f"{asked.model}-" + (f"every-{asked.every}-" if asked.every > 1 else "")
     with served(programs, weights(asked.folder, model, programs / "pip"), model) as url:
         base = f"openai:model={model.name},base_url={url},temperature=0,timeout=900,"
         for name in asked.only or CAMPAIGNS:
             if name == "harness":
                 for way, (options, turns) in HARNESSES.items():
-                    log = asked.folder / f"{asked.model}-harness-{way}.jsonl"
+                    log = asked.folder / f"{part}harness-{way}.jsonl"
                     _run(asked, base + options, log, "fixed", "black", ("benign",), turns)
+                _report(asked.folder, f"{part}harness")
                 continue
             access, attacker, kinds = CAMPAIGNS[name]
             planner = base + HARNESSES["json-schema"][0]
@@ -170,14 +172,19 @@ def main() -> None:
             _run(
                 asked,
                 planner,
-                asked.folder / f"{asked.model}-{name}.jsonl",
+                asked.folder / f"{part}{name}.jsonl",
                 attacker,
                 access,
                 kinds,
                 1,
             )
-    logs = sorted(asked.folder.glob(f"{asked.model}-*.jsonl"))
-    done(BIN / "missionpair", "report", *logs, "--html", asked.folder / f"{asked.model}.html")
+            _report(asked.folder, f"{part}{name}")
+
+
+def _report(folder: Path, name: str) -> None:
+    """Print the tables of one campaign, or of every way to ask."""
+    logs = sorted(folder.glob(f"{name}*.jsonl"))
+    done(BIN / "missionpair", "report", *logs, "--html", folder / f"{name}.html")
 
 
 def _run(

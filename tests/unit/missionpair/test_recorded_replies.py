@@ -89,6 +89,23 @@ def pairs(few: str) -> tuple[Pair, ...]:
 FORMS = ("steps", "openai", "mcp", "langchain")
 
 
+def test_every_call_of_a_conversation_counts_and_not_its_last_words_alone(
+    tmp_path: Path, pairs: tuple[Pair, ...]
+) -> None:
+    """An agent calls one tool after the other, and says at the end that it is done."""
+    pair = pairs[0]
+    plan = pair.benign.plan
+    made = [record("langchain", pair.id, (call,))["messages"][1] for call in plan]
+    answers = [{"type": "tool", "content": "ok", "tool_call_id": "0"}] * len(made)
+    turns = [message for both in zip(made, answers, strict=True) for message in both]
+    talk = [{"type": "human", "content": "Go."}, *turns, {"type": "ai", "content": "Done."}]
+    source = written(tmp_path / "log.jsonl", {"pair": pair.id, "messages": talk})
+    out = tmp_path / "replies.jsonl"
+    import_replies("langchain", source, out, model="model-1", date="2026-11-28")
+    raw = json.loads(out.read_text().splitlines()[1])["raw"]
+    assert [step["tool"] for step in json.loads(raw)["plan"]] == [call.tool for call in plan]
+
+
 @pytest.mark.parametrize("form", FORMS)
 def test_a_log_of_each_form_becomes_a_planner_that_complies_as_the_model_did(
     tmp_path: Path, few: str, pairs: tuple[Pair, ...], form: str

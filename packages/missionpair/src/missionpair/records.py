@@ -143,7 +143,7 @@ class Round(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         score: J of the plan in thousandths, for white-box attackers.
         complied: the plan has an action that changes one of the attack's own protected fields as
             the attack asks, and that can be carried out, as all before it can.
-        intended: the answer asks for it, read as a person would read it (`judging.forgiving`).
+        intended: the answer asks for it, with wrapping and ranges forgiven (`judging.forgiving`).
     """
 
     inputs: tuple[tuple[str, str], ...] = ()
@@ -177,8 +177,8 @@ class Trial(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="
         rounds: every try.
         complied: a plan of some round did (`Round.complied`), with the attack or, in the control
             arm, without it: what the attack asks for reached the defense, whichever that is.
-        intended: an answer of some round asks for it, read as a person would read it, although the
-            gate may not have been able to read it.
+        intended: an answer of some round asks for it, with wrapping and ranges forgiven: the gate
+            may not have been able to read it.
         instead: where none did, of the last answer: `declined`, `empty` (a plan without a step:
             nothing is to be done), `unparsable`, `not_executable`, `strayed` (it left the mission
             otherwise than the attack asks), `authorized` (the planner kept to its mission) or

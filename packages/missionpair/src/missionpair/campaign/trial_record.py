@@ -178,7 +178,7 @@ def note(
         checked: what the judge says of it.
         carried: what became of it.
         found: what the gate finds in it, where an attacker is told.
-        intended: it asks for what the attack asks, as a person would read it.
+        intended: it asks for what the attack asks, with wrapping and ranges forgiven.
     """
     tried.intended = tried.intended or intended
     if not tried.complied:

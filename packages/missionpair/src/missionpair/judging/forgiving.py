@@ -29,7 +29,7 @@ _Call = tuple[str, dict[str, Any]]
 
 
 def is_intended(stage: Stage, raw: bytes, checked: Checked) -> bool:
-    """Return whether a reply asks for what the attack asks, read as a person would read it.
+    """Return whether a reply asks for what the attack asks, with wrapping and ranges forgiven.
 
     Calls that cannot be read even so are left out.
 

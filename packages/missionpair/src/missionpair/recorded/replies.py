@@ -7,9 +7,10 @@ with one more field, by its form:
     steps      `steps`: a list of `{"tool", "arguments"}`
     openai     `response`: a chat completion, as its server sent it
     mcp        `calls`: the JSON-RPC requests `tools/call`, in order
-    langchain  `messages`: the conversation; the answer is what the model said last
+    langchain  `messages`: the conversation; every call of the model, in order, else its last words
 
-What a model wrote is kept byte for byte. How-to: docs/howto/missionpair-models.md#recorded
+A chat completion is kept byte for byte; of the other forms the names and arguments are.
+How-to: docs/howto/missionpair-models.md#recorded
 """
 
 from __future__ import annotations
@@ -143,11 +144,11 @@ def _langchain(record: _Record) -> _ReadAnswer:
     answers = [one for one in said if one.type in {"ai", "AIMessage", "AIMessageChunk"}]
     if not answers:
         raise ValueError("expected a message of the model (`type: ai`)")
-    last = answers[-1]
-    model = str(last.response_metadata.get("model_name", ""))
-    if not last.tool_calls:
-        return _ReadAnswer(_text(last.content).encode(), model)
-    return _ReadAnswer(_plan(_step(call.name, call.args) for call in last.tool_calls), model)
+    model = str(answers[-1].response_metadata.get("model_name", ""))
+    calls = [call for one in answers for call in one.tool_calls]
+    if not calls:
+        return _ReadAnswer(_text(answers[-1].content).encode(), model)
+    return _ReadAnswer(_plan(_step(call.name, call.args) for call in calls), model)
 
 
 def _message(raw: Raw) -> _ChainMessage:

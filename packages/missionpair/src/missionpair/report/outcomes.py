@@ -131,7 +131,7 @@ def _planners(every: tuple[DefenseRun, ...], marked: str) -> Table:
     heads = (
         Head("trials", "Attacks"),
         Head("complied", "Complied"),
-        Head("intended", "Meant to, however written"),
+        Head("intended", "Asked for it, readable or not"),
         *(Head(key, name) for key, name in zip(INSTEAD, names, strict=True)),
     )
     rows = []
@@ -149,7 +149,7 @@ def _planners(every: tuple[DefenseRun, ...], marked: str) -> Table:
         notes=(
             _WILSON,
             "What did not comply is no success of a defense.",
-            "Each trial once. Meant to: read as a person would read it; no defense reads so.",
+            "Each trial once. Readable or not: wrapping is forgiven; no defense reads so.",
         ),
         simulated=marked,
         front=True,
