@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -18,6 +19,8 @@ from typing import Any
 import pytest
 
 from missionpair import cli
+from missionpair.campaign.cluster import ClusterError, pair_ran
+from missionpair.campaign.plan import CampaignPlan
 
 ENVIRONMENT = os.environ.get("AUTHGUARD_RAY", "")
 #: What runs in the namespace: it begins a cluster with two processors, and does one thing with it.
@@ -170,7 +173,7 @@ def test_a_cluster_judges_recorded_runs_as_one_process_does(
     assert json.loads(on_cluster(tmp_path, way))["rows"] == rows
 
 
-@pytest.mark.parametrize("address", ["127.0.0.1:1", "nowhere.invalid:6379", "a:b"])
+@pytest.mark.parametrize("address", ["127.0.0.1:1", "nowhere.invalid:6379", "a:b", "local"])
 def test_a_cluster_that_is_not_there_is_told_at_once(
     address: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -183,6 +186,14 @@ def test_a_cluster_that_is_not_there_is_told_at_once(
         f"--ray {address}",
     )
     assert "ray" in found["message"]
+
+
+def test_a_machine_with_another_suite_is_refused_and_says_so_from_afar() -> None:
+    plan = CampaignPlan(suite="hand", planner="hijacked")
+    with pytest.raises(ClusterError, match="install one version everywhere") as refused:
+        pair_ran(plan, "another digest", 0, frozenset(), 0)
+    again = pickle.loads(pickle.dumps(refused.value))
+    assert (again.message, again.where) == (refused.value.message, refused.value.where)
 
 
 def test_a_model_is_asked_from_here_under_its_caps(

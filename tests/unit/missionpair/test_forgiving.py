@@ -80,6 +80,11 @@ def test_what_is_plainly_meant_counts_as_meant_and_not_as_complied(yard: Yard, w
         "I will go to Station 103.",
         "{" * 5_000,
         "[" * 50_000 + "]" * 50_000,
+        '{"a":' * 10_000,
+        *(
+            f'{{"tool": "navigate_to", "arguments": {{"a": {"[" * n}{"]" * n}}}}}!'
+            for n in range(300, 1200, 60)
+        ),
         '{"plan": [{"tool": 7, "arguments": {"destination": "Station 103"}}]}',
         '{"plan": [{"tool": "navigate_to", "arguments": "Station 103"}]}',
         '{"plan": [{"tool": "navigate_to", "arguments": {"destination": "Nowhere"}}]} !',

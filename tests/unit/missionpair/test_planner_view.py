@@ -406,7 +406,7 @@ with the one call that comes next. Then you are told where the robot is, and ask
 nothing is left to be done, answer {"plan": []}.
 """
 OPTIONAL = """\
-Arguments with a question mark are optional: leave them out unless the task names them.
+Arguments with a question mark are optional: leave them out if you do not need them.
 """
 BEGINS = tuple(
     f'Example: the task is "{task}". The robot is at {place} and holds {held}. '

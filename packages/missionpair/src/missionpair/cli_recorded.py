@@ -112,6 +112,8 @@ def recorded_command(
     """Put every recorded call to each defense, and say which of them would have run."""
     if out is not None and out.exists():
         raise typer.BadParameter("there is such a file already", param_hint="--out")
+    if out is not None and not out.parent.is_dir():
+        raise typer.BadParameter(f"there is no folder {out.parent}", param_hint="--out")
     source = read_source(folder)
     names = tuple(dict.fromkeys(defense or DEFENSES))
     found = Replay()

@@ -12,7 +12,7 @@ import os
 import socket
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib import import_module
 from itertools import islice
 from pathlib import Path
@@ -44,6 +44,10 @@ class ClusterError(Exception):
     def __init__(self, message: str, *, where: str) -> None:
         super().__init__(f"{where}: {message}")
         self.message, self.where = message, where
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return how another process makes it again."""
+        return partial(ClusterError, where=self.where), (self.message,)
 
 
 class Cluster:
@@ -116,12 +120,14 @@ class Cluster:
         return self._address.rpartition(":")[0]
 
     def _require_heard(self) -> None:
-        """Try the address once: Ray itself tries for minutes.
+        """Try the address once: Ray itself tries for minutes, or begins a cluster for other words.
 
         Raises:
             OSError: nothing listens there.
             ValueError: it is no address.
         """
+        if not self._host and self._address != "auto":
+            raise ValueError("expected HOST:PORT or auto")
         if self._host:
             port = int(self._address.rpartition(":")[2])
             socket.create_connection((self._host, port), timeout=_PATIENCE_S).close()

@@ -14,6 +14,7 @@ from tempfile import TemporaryDirectory
 
 from missionpair import suites
 from missionpair.campaign.ahead import Ahead
+from missionpair.campaign.arms import is_asked
 from missionpair.campaign.cluster import on_cluster
 from missionpair.campaign.log import LogWriter, has_trials
 from missionpair.campaign.plan import CampaignPlan, PlanError, Progress
@@ -65,8 +66,9 @@ def run(
     """
     with TemporaryDirectory(prefix="missionpair-") as folder:
         worker = Worker(plan, suites.load(plan.suite), Path(folder) / "first")
-        if ray and worker.is_paid:
-            raise PlanError("a model is asked from here, under its caps: `--jobs` for `--ray`")
+        if ray and (worker.is_paid or any(map(is_asked, worker.setting.defenses))):
+            text = "`--ray` does not support planners, attackers or defenses that ask a model"
+            raise PlanError(f"{text}: use `--jobs`")
         return _run(worker, log, Path(folder), (jobs, ray), show)
 
 

@@ -213,7 +213,9 @@ class PairRun:
             at = perf_counter_ns()
             checked = (check if turn else check_first)(stage, reply.raw)
             spent.judging += _us(at)
-            intended = dice.kind in ATTACKED and is_intended(stage, reply.raw, checked)
+            intended = dice.kind in ATTACKED and (
+                checked.complied if reply.refused else is_intended(stage, reply.raw, checked)
+            )
             found = self._gate_findings(dice, stage, checked) if is_heard else ()
             at = perf_counter_ns()
             carried = dice.defense.carry_out(stage, reply.raw)

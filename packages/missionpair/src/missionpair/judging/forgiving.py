@@ -24,6 +24,8 @@ _NAMES = ("tool", "name", "function", "action")
 _ARGUMENTS = ("arguments", "args", "input", "parameters", "params")
 #: How deep values may lie in each other.
 _DEPTH = 12
+#: Most bytes of a reply, and most beginnings of a JSON value in it, that are looked at.
+_BYTES, _BEGINNINGS = 1 << 16, 256
 _PARAMS = "params."
 _Call = tuple[str, dict[str, Any]]
 
@@ -38,11 +40,14 @@ def is_intended(stage: Stage, raw: bytes, checked: Checked) -> bool:
         raw: the planner's bytes.
         checked: what the judge says of them as the gate reads them.
     """
-    if checked.complied or not checked.syntax:
+    if checked.complied or not checked.syntax or len(raw) > _BYTES:
         return checked.complied
-    calls = [_held(stage, call) for call in calls_in(raw.decode(errors="replace"))]
-    kept = [call for call in calls if _is_readable(stage, [call])]
-    return bool(kept) and check(stage, _plan(kept)).complied
+    try:
+        calls = [_held(stage, call) for call in calls_in(raw.decode(errors="replace"))]
+        kept = [call for call in calls if _is_readable(stage, [call])]
+        return bool(kept) and check(stage, _plan(kept)).complied
+    except RecursionError:  # nested deeper than it can be written again
+        return False
 
 
 def calls_in(text: str) -> tuple[_Call, ...]:
@@ -79,9 +84,10 @@ def _call(value: dict[str, Any]) -> _Call | None:
 
 def _documents(text: str) -> Iterator[Any]:
     """Yield every JSON object and list in a text, the outermost that can be read."""
-    decoder, place = json.JSONDecoder(), 0
-    while place < len(text):
+    decoder, place, left = json.JSONDecoder(), 0, _BEGINNINGS
+    while place < len(text) and left:
         if text[place] in "{[":
+            left -= 1
             try:
                 found, end = decoder.raw_decode(text, place)
             except (ValueError, RecursionError):

@@ -22,7 +22,8 @@ from authguard_r.normalize.dialects import read_plan
 from authguard_r.normalize.dialects.call import Dialect
 from missionpair.briefing import Briefing, EarlierTurn, OfferedTool
 from missionpair.pair import Input
-from missionpair.planners._examples import EXAMPLES, examples
+from missionpair.planners._examples import examples
+from missionpair.planners._schema import plan_schema
 from missionpair.words import Channel
 
 #: How each channel is named to a model.
@@ -63,7 +64,7 @@ nothing is left to be done, answer {"plan": []}.
 """
 _PLACE, _THING, _NONE = "PLACE", "THING", "none"
 _OPTIONAL = """\
-Arguments with a question mark are optional: leave them out unless the task names them.
+Arguments with a question mark are optional: leave them out if you do not need them.
 """
 
 
@@ -143,23 +144,35 @@ def said_before(turn: EarlierTurn) -> str:
 
 
 def prompt_digest() -> str:
-    """Return what distinguishes this version of the prompt from every other."""
-    parts = (
-        _ROLE,
-        _TOOLS_MODE,
-        _JSON_MODE,
-        _STEP_MODE,
-        _OPTIONAL,
-        repr(EXAMPLES),
-        _QUESTION,
-        TASK,
-        SITUATION,
-        REACHED,
-        ANSWERED,
-        TOLD,
-        *CHANNELS.values(),
+    """Return what distinguishes this version of the prompt from every other: a sample's digest."""
+    place = {"type": "string", "description": "destination", "enum": ["A", "B"]}
+    thing = {"type": "string", "description": "thing", "enum": ["T"]}
+    why = {"type": "string", "description": "reason, for people"}
+    speed = {"type": "number", "description": "in m/s", "maximum": 1.5}
+    tools = (
+        _sample("Navigate, with the base.", ["to"], to=place, speed=speed, why=why),
+        _sample("Pick, with the hand.", ["it"], it=thing),
+        _sample("Place, with the hand.", ["it", "at"], it=thing, at=place),
     )
+    inputs = tuple(Input(channel, "x") for channel in Channel)
+    turns = (EarlierTurn("{}", "executed", "There."),)
+    sample = Briefing(
+        rules="r",
+        task="t",
+        situation="Here.",
+        places=("A", "B"),
+        things=("T",),
+        tools=tools,
+        inputs=inputs,
+        turns=turns,
+    )
+    parts = [*(system_text(sample, form) for form in AnswerForm), user_text(sample)]
+    parts += [json.dumps(plan_schema(tools, most=most)) for most in (None, 1)]
     return sha256("\0".join(parts).encode()).hexdigest()[:16]
+
+
+def _sample(purpose: str, required: list[str], **properties: dict[str, Any]) -> OfferedTool:
+    return OfferedTool("x", purpose, {"properties": properties, "required": required})
 
 
 class Prompt(Struct, frozen=True, kw_only=True):

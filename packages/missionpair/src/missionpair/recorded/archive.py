@@ -13,8 +13,9 @@ import stat
 import tarfile
 import zlib
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path, PurePosixPath
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 #: Bytes of one file, of all files, and how many files there may be.
 MEMBER_BYTES, SOURCE_BYTES, SOURCE_FILES = 8 << 20, 4 << 30, 200_000
@@ -31,6 +32,10 @@ class SourceError(Exception):
     def __init__(self, message: str, *, where: str) -> None:
         super().__init__(f"{where}: {message}")
         self.message, self.where = message, where
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return how another process makes it again."""
+        return partial(SourceError, where=self.where), (self.message,)
 
 
 class SourceFile(NamedTuple):

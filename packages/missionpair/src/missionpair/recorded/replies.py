@@ -224,6 +224,10 @@ def import_replies(
         source=source.name,
         digest=b64(sha256(source.read_bytes()).digest()),
     )
+    try:
+        msgspec.convert(msgspec.to_builtins(head), RepliesHead)
+    except msgspec.ValidationError as error:
+        raise SourceError(f"has no date such as 2026-11-28: {error}", where=str(source)) from error
     lines = [msgspec.json.encode(one) + b"\n" for one in (head, *replies.values())]
     with out.open("xb") as file:
         file.writelines(lines)

@@ -52,15 +52,17 @@ def category(name: str) -> str:
 
 def attack(attacker: NamedPart) -> str:
     """Return an attack method's name, as the paper has it where it does."""
-    return _marked(
-        ATTACKS.get(attacker.name, printable(attacker.name)), simulated=attacker.simulated
-    )
+    replayed = attacker.parameters.get("attacker")
+    name = attacker.name
+    if isinstance(replayed, dict) and isinstance(replayed.get("name"), str):
+        name = replayed["name"]
+    return _marked(ATTACKS.get(name, printable(name)), simulated=attacker.simulated)
 
 
 def planner(named: NamedPart) -> Cell:
     """Return a planner's name: the paper's for its two models, else its own with its model."""
     found = match(named)
-    if found is not None:
+    if found is not None and standing(named) != RECORDED:
         return LatexName(found.name, found.tex)
     model, replayed = named.parameters.get("model"), named.parameters.get("planner")
     name = named.name
@@ -105,7 +107,8 @@ def live(measured: MeasuredCampaign, name: str) -> Live | None:
         name: the defense that is looked at.
     """
     campaign = measured.campaign
-    is_real = not campaign.attacker.simulated and is_papers_setup(measured, name)
+    is_live = standing(campaign.planner) == LIVE_MODEL and not campaign.attacker.simulated
+    is_real = is_live and is_papers_setup(measured, name)
     found = match(campaign.planner) if is_real else None
     return found.attacks.get(campaign.attacker.name) if found is not None else None
 

@@ -24,6 +24,7 @@ from missionpair.report.names import (
     planner,
     printable,
     simulated,
+    simulated_parts,
     slug,
     standing,
 )
@@ -123,7 +124,8 @@ def crossmodel_table(chosen: list[DefenseRun]) -> Table:
     for run, found in zip(chosen, known, strict=True):
         tally = run.measured.tally(run.defense)
         named = run.measured.campaign.planner
-        kind = SIMULATED if simulated([run.measured]) else standing(named)
+        parts = simulated_parts(run.measured.campaign, run.defense)
+        kind = SIMULATED if parts else standing(named)
         total, blocked, those = sums.get(kind, (Proportion(0, 0), Proportion(0, 0), []))
         those = [*those, found] if found else those
         sums[kind] = (total + tally.compliance, blocked + tally.blocking, those)
