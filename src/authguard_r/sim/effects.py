@@ -15,7 +15,6 @@ import msgspec
 from authguard_r.core.action import Action
 from authguard_r.core.identifiers import ObjectId, ParameterId
 from authguard_r.sim.state import WorldState
-from authguard_r.site.words import standard_words
 
 MAX_BYTES = ParameterId("max_bytes")
 LIQUID = ParameterId("liquid_no")
@@ -88,8 +87,7 @@ def effect(state: WorldState, action: Action) -> WorldState | None:
         return recorded(state, action)
     if action.type in _CONDITIONS or action.type in _SETTINGS:
         return _set(_changed(state, action), action)
-    # what a site's own word does, nobody said: it leaves the world as it is
-    return None if action.type in standard_words() else state
+    return None
 
 
 def at_hand(state: WorldState, item: ObjectId) -> bool:

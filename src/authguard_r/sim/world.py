@@ -20,6 +20,7 @@ from authguard_r.core.identifiers import ObjectId, ParameterId, RegionId
 from authguard_r.sim.effects import effect, recorded
 from authguard_r.sim.state import WorldState
 from authguard_r.site.model import Door, Site
+from authguard_r.site.words import standard_words
 
 Point = tuple[int, int]
 
@@ -85,6 +86,8 @@ def delta(site: Site, state: WorldState, action: Action) -> WorldState | None:
         return _picked(state, action)
     if action.type == "place":
         return _placed(state, action)
+    if action.type in site.vocabulary and action.type not in standard_words():
+        return state  # what a site's own word does, nobody said: the world stays as it is
     return effect(state, action)
 
 
