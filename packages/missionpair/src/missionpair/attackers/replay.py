@@ -2,7 +2,8 @@
 """The texts that another attacker sent before, from a campaign's log: nothing is asked again.
 
 Options: `log=FILE`, with `defense=NAME` where the attacker wrote other texts under other defenses,
-as one does that learns from each round. How-to: docs/howto/missionpair-models.md#again-without-asking
+as one does that learns from each round.
+How-to: docs/howto/missionpair-models.md#again-without-asking
 """
 
 from __future__ import annotations
