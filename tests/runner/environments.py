@@ -26,8 +26,6 @@ RECIPES: dict[str, tuple[tuple[str, ...], ...]] = {
     "ros-mcp": (("ros-mcp==3.1.2",),),
     # Inspect is heavy, and in no lock file
     "inspect": (("--editable", ".", "--editable", "packages/missionpair[inspect,llm]", COVERAGE),),
-    # Ray is heavy, and in no lock file
-    "ray": (("--editable", ".", "--editable", "packages/missionpair[ray]", COVERAGE),),
     # fonts, a recognizer of speech with its model, and what counts wrong words
     "perception": (
         ("--editable", ".", "--editable", "packages/missionpair[perception]", COVERAGE),
