@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recorded runs are read from a source that nobody trusts: all of it, or none, and nowhere else.
 
-Source: issue 27, "Recorded transcripts" and "Bad input". How-to:
-docs/howto/missionpair-recorded.md
+How-to: docs/howto/missionpair-recorded.md
 """
 
 from __future__ import annotations

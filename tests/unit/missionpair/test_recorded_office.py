@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Office tasks as signed missions: what each allows runs, and what an attack asks for does not.
 
-Source: issue 27, "Recorded transcripts". How-to: docs/howto/missionpair-recorded.md
+How-to: docs/howto/missionpair-recorded.md
 """
 
 from __future__ import annotations

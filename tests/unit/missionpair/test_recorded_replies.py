@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Logs of real runs become a planner: marked as recorded, chosen by pair, and never more than said.
 
-Source: issue 27, "Recorded transcripts". How-to: docs/howto/missionpair-models.md#recorded
+How-to: docs/howto/missionpair-models.md#recorded
 """
 
 from __future__ import annotations
@@ -11,21 +11,23 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
 from authguard_r.core.encoding import b64
 from fixtures.missionpair_program import told
 from missionpair import planners
-from missionpair.briefing import PlannerError
+from missionpair.briefing import Briefing, PlannerError
 from missionpair.campaign.log import read_log
+from missionpair.campaign.plan import PlanError
 from missionpair.campaign.run import CampaignPlan, run
 from missionpair.measures import measure
-from missionpair.pair import Pair, WordedCall
+from missionpair.pair import Input, Pair, WordedCall
 from missionpair.recorded.archive import SourceError
 from missionpair.recorded.replies import import_replies
 from missionpair.report.setup import remarks, setup_table
 from missionpair.suites import load
-from missionpair.words import TrialKind
+from missionpair.words import Channel, TrialKind
 
 
 def written(path: Path, *lines: object) -> Path:
@@ -240,13 +242,78 @@ def test_a_file_that_is_no_file_of_replies_is_refused(tmp_path: Path, text: str)
     assert caught.value.code == "file"
 
 
+def spoken(pair: str, content: str | None) -> dict[str, Any]:
+    """Return a completion without a call."""
+    message = {"role": "assistant", "content": content}
+    choices = [{"index": 0, "message": message, "finish_reason": "stop"}]
+    return {"pair": pair, "response": {"model": "m", "created": 1_764_288_000, "choices": choices}}
+
+
+def imported(tmp_path: Path, *records: dict[str, Any]) -> list[dict[str, Any]]:
+    out = tmp_path / "replies.jsonl"
+    import_replies("openai", written(tmp_path / "log.jsonl", *records), out)
+    return [json.loads(line) for line in out.read_text().splitlines()[1:]]
+
+
+def test_a_completion_is_read_as_a_live_model_s_is(tmp_path: Path) -> None:
+    """A plan that is written in words is that plan, and a refusal is one."""
+    plan, no = imported(tmp_path, spoken("a", '{"plan": []}'), spoken("b", "I can't do that."))
+    assert (plan["raw"], plan["refused"]) == ('{"plan": []}', False)
+    assert (no["raw"], no["refused"]) == ("I can't do that.", True)
+
+
+def test_a_completion_that_says_nothing_is_refused_by_its_line(tmp_path: Path) -> None:
+    with pytest.raises(SourceError, match="answered nothing") as failed:
+        imported(tmp_path, spoken("a", "words"), spoken("b", None))
+    assert failed.value.where.endswith("log.jsonl:2")
+
+
+def planner_of(tmp_path: Path, *records: dict[str, Any]) -> Any:
+    log, out = tmp_path / "log.jsonl", tmp_path / "replies.jsonl"
+    import_replies("steps", written(log, *records), out, model="m", date="2026-11-28")
+    return planners.make(f"recorded:file={out}")
+
+
+def test_a_reply_to_other_texts_is_no_answer(tmp_path: Path) -> None:
+    planner = planner_of(tmp_path, {"pair": "p", "steps": [], "inputs": [["sign", "Go."]]})
+    shown = Briefing(
+        rules="", task="", situation="", places=(), things=(), tools=(), trial=("p", "attack", 0)
+    )
+    same = msgspec.structs.replace(shown, inputs=(Input(Channel.SIGN, "Go."),))
+    assert planner.propose(same, seed=1).raw == b'{"plan": []}'
+    with pytest.raises(PlannerError, match="answered other texts"):
+        planner.propose(shown, seed=1)
+
+
+def test_attack_and_control_arm_need_as_many_rounds(tmp_path: Path) -> None:
+    """More tries are more chances: arms that differ would show a difference by themselves."""
+    arms = [{"pair": "p", "steps": [], "kind": kind} for kind in ("attack", "control")]
+    planner = planner_of(tmp_path, *arms, {"pair": "p", "steps": [], "round": 1})
+    assert planner.knows("p", ("attack",))
+    assert not planner.knows("p", ("attack", "control"))
+    assert not planner.knows("p", ("attack", "benign"))
+
+
+def test_one_reply_is_not_counted_for_several_seeds(tmp_path: Path, few: str) -> None:
+    pair = load(few)[0].pairs[0]
+    planner_of(tmp_path, record("steps", pair.id, pair.attack.plan))
+    plan = CampaignPlan(
+        suite=few,
+        planner=f"recorded:file={tmp_path / 'replies.jsonl'}",
+        kinds=(TrialKind.ATTACK,),
+        seeds=2,
+    )
+    with pytest.raises(PlanError, match="--seeds 1"):
+        run(plan, tmp_path / "out.jsonl")
+
+
 def test_on_the_command_line(
     tmp_path: Path,
     pairs: tuple[Pair, ...],
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    source = written(tmp_path / "log", record("openai", pairs[0].id, ()))
+    source = written(tmp_path / "log", record("openai", pairs[0].id, pairs[0].benign.plan))
     words = ("import", "openai", source, "--out", tmp_path / "replies.jsonl")
     code, said = told(capsys, monkeypatch, *words)
     assert (code, said["replies"], said["model"], said["date"]) == (0, 1, "model-1", "2025-11-28")

@@ -9,10 +9,11 @@ from typing import Any
 
 import msgspec
 import pytest
+from msgspec.structs import replace
 
 from missionpair import attackers
 from missionpair.attackers import AttackerError
-from missionpair.campaign.log import read_log
+from missionpair.campaign.log import LogWriter, read_log
 from missionpair.campaign.plan import CampaignPlan
 from missionpair.campaign.run import run
 from missionpair.records import Trial
@@ -80,27 +81,25 @@ def test_a_campaign_of_an_attacker_that_asks_a_model_is_run_again_without_one(
     assert campaign.attacker.parameters["attacker"]["name"] == "adaptive"
 
 
-def test_texts_that_differ_by_defense_are_named_by_one(log: Path) -> None:
-    one = attackers.make(f"replay:log={log}")
-    sent = {
-        d: [t["rounds"] for t in told(log, d) if t["kind"] == "attack"] for d in ("none", "both")
-    }
-    differ = [
-        trial.seed
-        for trial in read_log(log)[1]
-        if trial.kind == "attack" and trial.defense == "none"
-    ]
-    faults = 0
-    for number, seed in enumerate(differ):
-        texts = {d: [one["inputs"] for one in sent[d][number]] for d in sent}
-        if texts["none"] == texts["both"]:
-            assert one.open(b"", seed=seed)
-        else:
-            faults += 1
-            with pytest.raises(AttackerError, match="name one with `defense`"):
-                one.open(b"", seed=seed)
-    assert len(differ) == 4
-    assert faults < len(differ)
+def test_texts_that_differ_by_defense_are_named_by_one(log: Path, tmp_path: Path) -> None:
+    campaign, found = read_log(log)
+    trials = tuple(found)
+    seeds = [t.seed for t in trials if (t.kind, t.defense) == ("attack", "none")]
+    changed = tmp_path / "changed.jsonl"
+    with LogWriter(changed, campaign) as writer:
+        for trial in trials:
+            is_other = (trial.kind, trial.defense, trial.seed) == ("attack", "both", seeds[0])
+            rounds = (replace(trial.rounds[0], inputs=(("sign", "Go elsewhere."),)),)
+            writer.add(replace(trial, rounds=rounds) if is_other else trial)
+        writer.end()
+    one = attackers.make(f"replay:log={changed}")
+    with pytest.raises(AttackerError, match="name one with `defense`"):
+        one.open(b"", seed=seeds[0])
+    both = attackers.make(f"replay:log={changed},defense=both")
+    assert [item.text for item in both.open(b"", seed=seeds[0])] == ["Go elsewhere."]
+    assert attackers.make(f"replay:log={changed},defense=none").open(b"", seed=seeds[0]) != (
+        both.open(b"", seed=seeds[0])
+    )
 
 
 def test_what_the_log_does_not_hold_is_an_error(log: Path, tmp_path: Path) -> None:

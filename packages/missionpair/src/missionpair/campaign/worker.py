@@ -12,7 +12,7 @@ from missionpair import attackers, defenses, planners, registry
 from missionpair.attackers import Attacker, AttackerError
 from missionpair.briefing import Briefing, Planner, PlannerError, Reply
 from missionpair.campaign.arms import is_asked
-from missionpair.campaign.plan import CampaignPlan
+from missionpair.campaign.plan import CampaignPlan, PlanError
 from missionpair.campaign.setting import Setting, Who
 from missionpair.campaign.trial import PairRun
 from missionpair.defenses import Defense, DefenseError
@@ -65,6 +65,9 @@ class Worker:
         #: Those that are tried; a planner that answers from a record knows some of them alone.
         self.pairs = known_to(self.setting.planner, taken, plan.kinds)
         self.skipped = len(taken) - len(self.pairs)
+        if hasattr(self.setting.planner, "knows") and plan.seeds > 1:
+            text = "has one reply for each trial, which several seeds would count several times"
+            raise PlanError(f"`{self.setting.planner.name}` {text}: run with `--seeds 1`")
         #: The time of a planner is waiting, not computing.
         self.is_live = is_asked(self.setting.planner)
         if self.is_live:

@@ -8,6 +8,7 @@ docs/howto/missionpair-models.md#recorded
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ import msgspec
 from missionpair.briefing import Briefing, PlannerError, Reply
 from missionpair.recorded.archive import SourceError
 from missionpair.recorded.replies import FORMAT, PairReply, RepliesHead, lines_of
+from missionpair.words import ATTACKED
 
 _Key = tuple[str, str, int]
 
@@ -40,10 +42,18 @@ class RecordedPlanner:
         }
         self.recorded = True
         self._replies, self._where = replies, where
+        self._rounds = Counter(
+            (pair, kind) for pair, kind, number in replies if (pair, kind, 0) in replies
+        )
 
     def knows(self, pair: str, kinds: tuple[str, ...]) -> bool:
-        """Return whether it has a reply to the first round of each kind of trial of a pair."""
-        return all((pair, kind, 0) in self._replies for kind in kinds)
+        """Return whether it has replies to each kind of trial of a pair.
+
+        Attack and control arm need the same number of rounds: more tries are more chances.
+        """
+        counts = {kind: self._rounds.get((pair, kind), 0) for kind in kinds}
+        arms = {count for kind, count in counts.items() if kind in ATTACKED}
+        return all(counts.values()) and len(arms) <= 1
 
     def propose(self, briefing: Briefing, *, seed: int) -> Reply:  # noqa: ARG002 - the pair decides
         """Return the model's answer.
@@ -63,6 +73,10 @@ class RecordedPlanner:
                 code="ended" if number else "protocol",
                 where=self._where,
             )
+        shown = tuple((item.channel, item.text) for item in briefing.inputs)
+        if found.inputs is not None and found.inputs != shown:
+            text = "answered other texts: run the attacker of the log (`replay`), or `fixed`"
+            raise PlannerError(text, code="protocol", where=self._where)
         return Reply(raw=found.raw.encode(), refused=found.refused)
 
 
@@ -94,7 +108,10 @@ def _read(path: Path) -> RecordedPlanner:
             reply = msgspec.json.decode(line, type=PairReply)
         except (msgspec.DecodeError, ValueError, RecursionError) as error:
             raise SourceError(f"is no file of replies: {error}", where=where) from error
-        replies[reply.pair, str(reply.kind), reply.round] = reply
+        key = (reply.pair, str(reply.kind), reply.round)
+        if key in replies:
+            raise SourceError("answers what an earlier line answers", where=where)
+        replies[key] = reply
     if head is None:
         raise SourceError("is empty", where=str(path))
     return RecordedPlanner(head, replies, where=str(path))

@@ -147,7 +147,7 @@ def replay_all(
         show: called with the number of runs so far.
 
     Raises:
-        SourceError: a run is of a suite or a task that no mission was written for.
+        SourceError: a run is of a suite, a task or an attack that was not written down.
     """
     kept = [run for run in runs if not run.task.startswith("injection_task")]
     _require_known(kept)
@@ -165,11 +165,14 @@ def _task_of(run: RecordedRun) -> tuple[str, str]:
 
 
 def _require_known(runs: list[RecordedRun]) -> None:
-    tasks = {name: read_suite(name).tasks for name in suite_names()}
+    known = {name: read_suite(name) for name in suite_names()}
     for run in runs:
-        if run.task not in tasks.get(run.suite, {}):
-            text = f"no mission was written for the task `{run.task}`"
-            raise SourceError(text, where=f"{run.pipeline}, {run.suite}")
+        suite, where = known.get(run.suite), f"{run.pipeline}, {run.suite}"
+        if suite is None or run.task not in suite.tasks:
+            raise SourceError(f"no mission was written for the task `{run.task}`", where=where)
+        if run.attack and run.attack not in suite.attacks:
+            text = f"nobody wrote down which calls the attack `{run.attack}` asks for"
+            raise SourceError(text, where=where)
 
 
 def _everywhere(

@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Replies of a model in the logs of real runs, kept by pair, kind of trial and round.
 
-A log is JSON Lines, one reply a line: `{"pair", "round"?, "kind"?, "refused"?, "model"?, "date"?}`
-with one more field, by its form:
+A log is JSON Lines, one reply a line: `{"pair", "round"?, "kind"?, "refused"?, "inputs"?,
+"model"?, "date"?}` with one more field, by its form:
 
     steps      `steps`: a list of `{"tool", "arguments"}`
     openai     `response`: a chat completion, as its server sent it
     mcp        `calls`: the JSON-RPC requests `tools/call`, in order
     langchain  `messages`: the conversation; every call of the model, in order, else its last words
 
-A chat completion is kept byte for byte; of the other forms the names and arguments are.
+Calls of a chat completion are kept byte for byte, and words as they are; of the other forms the
+names and arguments are kept.
 How-to: docs/howto/missionpair-models.md#recorded
 """
 
@@ -23,14 +24,24 @@ from typing import Annotated, Any, NamedTuple
 
 import msgspec
 from msgspec import Meta, Raw, Struct
+from msgspec.structs import asdict
 
+from authguard_r.authoring.model_client.exchange import ModelServerError
+from authguard_r.authoring.model_client.protocols import OpenAIProtocol
 from authguard_r.core.encoding import b64
+from missionpair.briefing import PlannerError
+from missionpair.planners._answers import read_answer
+from missionpair.planners._client import Completion
 from missionpair.recorded.archive import SourceError
-from missionpair.words import TrialKind
+from missionpair.words import Channel, TrialKind
 
 FORMAT = "missionpair/replies/1"
 #: Longest line, in bytes.
 _MAX_LINE = 8 << 20
+_UNREADABLE = (
+    *(msgspec.DecodeError, ValueError, OverflowError, RecursionError, OSError),
+    *(ModelServerError, PlannerError),
+)
 _Date = Annotated[str, Meta(pattern=r"^[0-9]{4}-[0-9]{2}-[0-9]{2}$")]
 
 
@@ -61,6 +72,7 @@ class PairReply(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         round: from 0.
         raw: what the model wrote.
         refused: it said itself that it will not.
+        inputs: what had reached it, channel and text; None: the log does not say.
     """
 
     pair: str
@@ -68,6 +80,7 @@ class PairReply(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     round: Annotated[int, Meta(ge=0)]
     raw: str
     refused: bool = False
+    inputs: tuple[tuple[Channel, str], ...] | None = None
 
 
 class _Record(Struct, forbid_unknown_fields=True, kw_only=True):
@@ -75,6 +88,7 @@ class _Record(Struct, forbid_unknown_fields=True, kw_only=True):
     round: Annotated[int, Meta(ge=0)] = 0
     kind: TrialKind = TrialKind.ATTACK
     refused: bool = False
+    inputs: tuple[tuple[Channel, str], ...] | None = None
     model: str = ""
     date: _Date | None = None
     steps: list[Raw] | None = None
@@ -87,6 +101,7 @@ class _ReadAnswer(NamedTuple):
     raw: bytes
     model: str = ""
     date: str = ""
+    refused: bool = False
 
 
 class _Completion(Struct):
@@ -125,8 +140,10 @@ def _steps(record: _Record) -> _ReadAnswer:
 def _openai(record: _Record) -> _ReadAnswer:
     raw = bytes(record.response)
     said = msgspec.json.decode(raw, type=_Completion)
+    done = Completion(**asdict(OpenAIProtocol().read(raw)))
+    raw, refused = read_answer(done, (), model=said.model, where="response")
     date = datetime.fromtimestamp(said.created, UTC).date().isoformat() if said.created else ""
-    return _ReadAnswer(raw, said.model, date)
+    return _ReadAnswer(raw, said.model, date, refused)
 
 
 def _mcp(record: _Record) -> _ReadAnswer:
@@ -210,7 +227,8 @@ def import_replies(
             kind=record.kind,
             round=record.round,
             raw=answer.raw.decode(),
-            refused=record.refused,
+            refused=record.refused or answer.refused,
+            inputs=record.inputs,
         )
         key = (reply.pair, str(reply.kind), reply.round)
         if key in replies:
@@ -240,8 +258,10 @@ def _read(form: str, source: Path) -> Iterator[tuple[str, _Record, _ReadAnswer]]
         try:
             record = msgspec.json.decode(line, type=_Record)
             _require_form(record, field)
-            yield where, record, reads(record)
-        except (msgspec.DecodeError, ValueError, OverflowError, RecursionError, OSError) as error:
+            answer = reads(record)
+            answer.raw.decode()
+            yield where, record, answer
+        except _UNREADABLE as error:
             raise SourceError(f"is no reply of the form `{form}`: {error}", where=where) from error
 
 

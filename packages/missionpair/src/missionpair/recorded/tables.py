@@ -14,7 +14,7 @@ from typing import Any
 from msgspec import Struct
 
 from missionpair.measures import Proportion
-from missionpair.recorded.replay import ReplayedRun
+from missionpair.recorded.replay import NONE, ReplayedRun
 
 LABEL = "external validity: office tools, not robots"
 #: Pipelines whose runs were looked at while the missions were written; all others were held out.
@@ -27,6 +27,8 @@ TUNED = frozenset(
         "meta-llama_Llama-3-70b-chat-hf",
     }
 )
+#: Why a call ran, where no mission is asked.
+_WHY = {NONE: "no gate", "allowlist": "a step of the mission uses the tool"}
 TUNED_GROUP, HELD_OUT = "looked at", "held out"
 
 
@@ -39,7 +41,7 @@ class OutcomeRow(Struct, kw_only=True):
         landed: runs in which an attack reached its goal, and how many of them made a call that
             the attack asks for.
         leaks: of the landed runs, those in which such a call would have run.
-        changes: of the landed runs, those in which one that changes something would have run.
+        changes: of the landed runs, those in which a call that changes something would have run.
         refusals: of the runs without an attack that did their task, those with a refused call.
     """
 
@@ -134,14 +136,15 @@ def _remaining(one: ReplayedRun) -> Iterable[tuple[str, ...]]:
     for number, call in enumerate(run.calls):
         if run.landed and one.ran[number] and one.unauthorized[number]:
             what = "leak that changes" if one.changes[number] else "leak"
-            yield (one.defense, what, *named, call.tool, "the mission allows it for the task")
+            why = _WHY.get(one.defense, "the mission allows it for the task")
+            yield (one.defense, what, *named, call.tool, why)
         elif not run.kind and run.useful and not one.ran[number]:
             yield (one.defense, "refusal", *named, call.tool, ", ".join(one.reasons[number]))
 
 
 def lines(rows: list[OutcomeRow]) -> list[str]:
     """Return the table for people."""
-    head = ("runs", "defense", "attack's call ran", "one that changes", "task refused")
+    head = ("runs", "defense", "attack's call ran", "changing call ran", "task refused")
     body = [
         (row.group, row.defense, _told(row.leaks), _told(row.changes), _told(row.refusals))
         for row in rows
