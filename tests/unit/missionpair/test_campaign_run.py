@@ -27,7 +27,7 @@ from missionpair.campaign.log import LogError, LogWriter, read_log
 from missionpair.campaign.run import CampaignPlan, Progress, answered, run
 from missionpair.campaign.setting import Setting
 from missionpair.campaign.trial import FINAL, PairRun
-from missionpair.campaign.worker import Ran
+from missionpair.campaign.worker import TrialResult
 from missionpair.defenses import DefenseError, _qualify
 from missionpair.execution import ExecutedPlan, past_the_gate
 from missionpair.pair import Input, Pair, Start, Suite, plan_bytes
@@ -279,7 +279,7 @@ EMPTY = PlannerError("answers nothing", code="protocol", where="http://127.0.0.1
 def written(*failures: PlannerError | None) -> tuple[list[int], PlannerError | None]:
     """Return which trials come to be written, and what ended the campaign."""
     found: list[int] = []
-    rans = (Ran(campaign_records.kept(n), failure) for n, failure in enumerate(failures))
+    rans = (TrialResult(campaign_records.kept(n), failure) for n, failure in enumerate(failures))
     try:
         found.extend(trial.n for trial in answered(rans))
     except PlannerError as error:
@@ -692,7 +692,7 @@ def test_a_cap_in_the_middle_of_a_pair_loses_no_trial_and_no_answer(
 def test_a_pair_that_a_model_finished_ahead_of_its_turn_is_not_asked_again(tmp_path: Path) -> None:
     campaign = campaign_records.campaign(pairs=3, trials=6)
     ahead = Ahead(tmp_path / "ahead", campaign)
-    ours = [Ran(campaign_records.kept(n)) for n in (2, 3)]
+    ours = [TrialResult(campaign_records.kept(n)) for n in (2, 3)]
     assert ahead.kept(1) == ()
     with ahead.begin(1) as file:
         for item in ours:
@@ -711,7 +711,7 @@ def test_a_pair_that_a_model_finished_ahead_of_its_turn_is_not_asked_again(tmp_p
     assert ahead.kept(1) == ()
     with ahead.begin(1) as file:
         keep(file, ours[0])
-        keep(file, Ran(campaign_records.kept(3), EMPTY))
+        keep(file, TrialResult(campaign_records.kept(3), EMPTY))
         end(file)
     assert ahead.kept(1) == ()  # one that nobody answered is asked again
     with Tail(ahead.path(1)) as tail:

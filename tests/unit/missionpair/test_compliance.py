@@ -15,7 +15,7 @@ from authguard_reference.reasons import FIELD_OF
 from fixtures.suites import loaded
 from missionpair import defenses, registry
 from missionpair.campaign.arms import rest_of
-from missionpair.campaign.setting import Who
+from missionpair.campaign.setting import Participants
 from missionpair.campaign.trial import PairRun
 from missionpair.judging import check, check_first
 from missionpair.judging.asked import asked_changes, changed_as_asked
@@ -195,9 +195,9 @@ def test_what_learns_under_one_defense_does_not_know_it_under_another(
         def told(self, seen: bytes) -> None:
             pass
 
-    def fresh() -> Who:
+    def fresh() -> Participants:
         asked.append(Learns(b"?"))
-        return Who(asked[-1], Insists(pair.inputs))
+        return Participants(asked[-1], Insists(pair.inputs))
 
     first = Learns(b"?")
     one = setting(first, fresh=fresh, **ATTACK, **made("none", "safety", "both"), seeds=4)

@@ -105,6 +105,14 @@ def test_calls_are_found_in_their_order_wherever_they_lie() -> None:
     assert [call[1]["destination"][-3:] for call in calls_in(text)] == ["103", "101", "103"]
 
 
+def test_of_two_plans_the_last_one_is_meant(yard: Yard) -> None:
+    draft, final = f'{{"plan": [{CALL}]}}', f'{{"plan": [{HERE}]}}'
+    assert judged(yard, f"First: {draft} No, better: {final}")[1:] == (False, False)
+    assert judged(yard, f"First: {final} No, better: {draft}")[1:] == (False, True)
+    assert judged(yard, f'{draft} but nothing is to be done: {{"plan": []}}')[1:] == (False, False)
+    assert judged(yard, f'{draft} and then {{"plan": [{HERE}, {{"tool": "na')[1:] == (False, True)
+
+
 class Says:
     """A planner that says one thing."""
 

@@ -120,6 +120,27 @@ def large(out: tarfile.TarFile) -> None:
     out.fileobj.write(member.tobuf())
 
 
+def long_header(kind: bytes) -> Callable[[tarfile.TarFile], None]:
+    """Add a header that says that a name of gigabytes follows, and a part of that name."""
+
+    def add(out: tarfile.TarFile) -> None:
+        member = tarfile.TarInfo("a" * 8)
+        member.type, member.size = kind, 3 << 30
+        assert out.fileobj is not None
+        out.fileobj.write(member.tobuf(format=tarfile.GNU_FORMAT) + b"a" * (64 << 20))
+
+    return add
+
+
+def nested_headers(out: tarfile.TarFile) -> None:
+    """Add thousands of headers, each of which says that another one follows."""
+    member = tarfile.TarInfo("a")
+    member.type, member.size = tarfile.GNUTYPE_LONGNAME, 4
+    assert out.fileobj is not None
+    block = member.tobuf(format=tarfile.GNU_FORMAT) + b"name".ljust(tarfile.BLOCKSIZE, b"\0")
+    out.fileobj.write(block * 5_000)
+
+
 @pytest.mark.parametrize(
     ("name", "data", "change", "where", "message"),
     [
@@ -132,6 +153,9 @@ def large(out: tarfile.TarFile) -> None:
         ("x", b"", link("runs/pipe", tarfile.FIFOTYPE, ""), "runs/pipe", "is a link or a device"),
         ("x", b"", link("runs/disk", tarfile.BLKTYPE, ""), "runs/disk", "is a link or a device"),
         ("x", b"", large, "more.json", "are allowed"),
+        ("x", b"", long_header(tarfile.GNUTYPE_LONGNAME), "a.tar.gz", "at once"),
+        ("x", b"", long_header(tarfile.XHDTYPE), "a.tar.gz", "at once"),
+        ("x", b"", nested_headers, "a.tar.gz", "ends or breaks here"),
         (NAME, b"{", None, NAME, "is no run of this layout"),
         (NAME, b"\xff\xfe", None, NAME, "is no run of this layout"),
         (NAME, b"[" * 200_000, None, NAME, "is no run of this layout"),
@@ -218,6 +242,7 @@ def test_what_was_written_is_read_again(tmp_path: Path) -> None:
         ("source.json", None, "make it with `missionpair import agentdojo`"),
         ("runs.jsonl", b"{}\n", "is no recorded run"),
         ("runs.jsonl", b"{}", "ends in the middle of a line"),
+        ("runs.jsonl", b"", "has other runs than `source.json` says"),
         ("runs.jsonl", None, "cannot be read"),
     ],
 )

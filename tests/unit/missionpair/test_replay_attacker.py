@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from missionpair import attackers
 from missionpair.attackers import AttackerError
 from missionpair.campaign.log import LogWriter, read_log
-from missionpair.campaign.plan import CampaignPlan
+from missionpair.campaign.plan import CampaignPlan, PlanError
 from missionpair.campaign.run import run
 from missionpair.records import Trial
 from missionpair.registry import OptionError, make
@@ -100,6 +100,15 @@ def test_texts_that_differ_by_defense_are_named_by_one(log: Path, tmp_path: Path
     assert attackers.make(f"replay:log={changed},defense=none").open(b"", seed=seeds[0]) != (
         both.open(b"", seed=seeds[0])
     )
+
+
+def test_texts_are_sent_in_the_suite_that_they_were_written_for_alone(
+    log: Path, tmp_path: Path
+) -> None:
+    plan = CampaignPlan(suite="hand", planner="graded", attacker=f"replay:log={log},defense=both")
+    with pytest.raises(PlanError, match="for another version of the suite"):
+        run(plan, tmp_path / "other.jsonl")
+    assert not (tmp_path / "other.jsonl").exists()
 
 
 def test_what_the_log_does_not_hold_is_an_error(log: Path, tmp_path: Path) -> None:

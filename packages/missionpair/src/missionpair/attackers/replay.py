@@ -8,15 +8,13 @@ How-to: docs/howto/missionpair-models.md#again-without-asking
 
 from __future__ import annotations
 
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from authguard_r.core.encoding import b64
 from missionpair.attackers import AttackerError
-from missionpair.campaign.log import LogError, read_log
+from missionpair.campaign.log import LogError, whole_log
 from missionpair.pair import Input
 from missionpair.words import Channel, TrialKind
 
@@ -31,15 +29,23 @@ class ReplayAttacker:
         kept: the texts of each round, by the trial's seed; None: they differ by defense.
         simulated: a stand-in wrote them.
         of: who wrote them, for the log.
+        suite_digest: of the suite that they were written for.
         where: the log.
     """
 
     name = "replay"
 
     def __init__(
-        self, kept: dict[int, _Rounds | None], *, simulated: bool, of: dict[str, Any], where: str
+        self,
+        kept: dict[int, _Rounds | None],
+        *,
+        simulated: bool,
+        of: dict[str, Any],
+        suite_digest: str,
+        where: str,
     ) -> None:
         self.simulated, self.parameters = simulated, of
+        self.suite_digest = suite_digest
         self._kept, self._where = kept, where
         self._left: list[tuple[Input, ...]] = []
 
@@ -75,7 +81,7 @@ def make(*, log: str = "", defense: str = "") -> ReplayAttacker:
         raise ValueError("name the log: `log=FILE`")
     path = Path(log)
     try:
-        campaign, trials = read_log(path, is_partial_allowed=True)
+        campaign, trials, digest = whole_log(path)
     except LogError as error:
         raise ValueError(f"{error.where}: {error.message}") from error
     names = [named.name for named in campaign.defenses]
@@ -86,12 +92,13 @@ def make(*, log: str = "", defense: str = "") -> ReplayAttacker:
         if trial.kind == TrialKind.ATTACK and trial.rounds and defense in {"", trial.defense}:
             sent = tuple(_inputs(one.inputs) for one in trial.rounds)
             kept[trial.seed] = sent if kept.setdefault(trial.seed, sent) == sent else None
-    of = {
-        "attacker": msgspec.to_builtins(campaign.attacker),
-        "log": b64(sha256(path.read_bytes()).digest()),
-    }
-    simulated = campaign.attacker.simulated
-    return ReplayAttacker(kept, simulated=simulated, of=of, where=str(path))
+    return ReplayAttacker(
+        kept,
+        simulated=campaign.attacker.simulated,
+        of={"attacker": msgspec.to_builtins(campaign.attacker), "log": digest},
+        suite_digest=campaign.suite_digest,
+        where=str(path),
+    )
 
 
 def _inputs(given: tuple[tuple[str, str], ...]) -> tuple[Input, ...]:

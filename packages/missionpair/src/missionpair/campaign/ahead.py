@@ -23,7 +23,7 @@ from authguard_r.core.encoding import b64
 from missionpair.attackers import AttackerError
 from missionpair.briefing import PlannerError
 from missionpair.campaign.log import LogError
-from missionpair.campaign.worker import Ran
+from missionpair.campaign.worker import TrialResult
 from missionpair.records import Campaign, Trial
 
 _END = b"end\n"
@@ -72,7 +72,7 @@ class Ahead:
             raise _failed(error, self._folder) from error
         return file
 
-    def kept(self, number: int) -> tuple[Ran, ...]:
+    def kept(self, number: int) -> tuple[TrialResult, ...]:
         """Return what an earlier run has finished of a pair: all of it, answered, or nothing."""
         try:
             head, *lines = self.path(number).read_bytes().splitlines(keepends=True) or [b""]
@@ -97,7 +97,7 @@ class Ahead:
             self._folder.rmdir()
 
 
-def keep(file: BinaryIO, ran: Ran) -> None:
+def keep(file: BinaryIO, ran: TrialResult) -> None:
     """Write one trial; it is whole, or the next run does without it.
 
     Raises:
@@ -136,7 +136,7 @@ class Tail:
         if self._file is not None:
             self._file.close()
 
-    def read(self) -> Iterator[Ran]:
+    def read(self) -> Iterator[TrialResult]:
         """Yield every trial that came since.
 
         Raises:
@@ -158,12 +158,12 @@ class Tail:
             raise _failed(error, self._path) from error
 
 
-def _ran(kept: _StoredTrial) -> Ran:
+def _ran(kept: _StoredTrial) -> TrialResult:
     if kept.failure is None:
-        return Ran(kept.trial)
+        return TrialResult(kept.trial)
     is_attacker, message, code, where = kept.failure
     error = AttackerError if is_attacker else PlannerError
-    return Ran(kept.trial, error(message, code=code, where=where))
+    return TrialResult(kept.trial, error(message, code=code, where=where))
 
 
 def _write(file: BinaryIO, data: bytes) -> None:

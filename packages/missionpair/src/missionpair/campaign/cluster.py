@@ -21,7 +21,7 @@ from typing import Any, Self, TypeVar
 
 from missionpair import suites
 from missionpair.campaign.plan import CampaignPlan
-from missionpair.campaign.worker import Ran, Worker
+from missionpair.campaign.worker import TrialResult, Worker
 from missionpair.pair import Suite
 
 T = TypeVar("T")
@@ -136,7 +136,7 @@ class Cluster:
         return ClusterError(message, where=f"--ray {self._address}")
 
 
-def on_cluster(worker: Worker, address: str, numbers: Iterable[int]) -> Iterator[Ran]:
+def on_cluster(worker: Worker, address: str, numbers: Iterable[int]) -> Iterator[TrialResult]:
     """Yield the trials of these pairs, in order, each pair run by some machine of a cluster.
 
     Args:
@@ -149,28 +149,50 @@ def on_cluster(worker: Worker, address: str, numbers: Iterable[int]) -> Iterator
         Exception: as `Worker.trials`.
     """
     with Cluster(address) as cluster:
-        fixed = (worker.plan, worker.digest, worker.done, worker.held)
+        known = (worker.digest, _parameters(worker))
+        fixed = (worker.plan, known, worker.done, worker.held)
         for trials in cluster.mapped(pair_ran, ((*fixed, number) for number in numbers)):
             yield from trials
 
 
 def pair_ran(
-    plan: CampaignPlan, digest: str, done: int, held: frozenset[str], number: int
-) -> list[Ran]:
+    plan: CampaignPlan,
+    known: tuple[str, list[dict[str, Any]]],
+    done: int,
+    held: frozenset[str],
+    number: int,
+) -> list[TrialResult]:
     """Run one pair of a campaign here, and return its trials.
 
+    Args:
+        plan: what is asked for.
+        known: the suite's digest, and the parameters of who takes part, where the run was begun.
+        done: trials below this number are in the log.
+        held: defenses that are held to the pair's benign run.
+        number: the pair's.
+
     Raises:
-        ClusterError: this machine has another version of the suite.
+        ClusterError: this machine has another version of the suite, or of a file that is named.
         Exception: as `Worker.trials`.
     """
     suite, found = _suite(plan.suite)
-    if found != digest:
+    if found != known[0]:
         text = f"a machine has another `{plan.suite}`: install one version everywhere"
         raise ClusterError(text, where=os.uname().nodename)
     with TemporaryDirectory(prefix="missionpair-") as folder:
         worker = Worker(plan, (suite, found), Path(folder) / "keys")
+        if _parameters(worker) != known[1]:
+            text = "a machine has another file of this name: copy the same one everywhere"
+            raise ClusterError(text, where=os.uname().nodename)
         worker.done, worker.held = done, held
         return list(worker.trials(number))
+
+
+def _parameters(worker: Worker) -> list[dict[str, Any]]:
+    """Return what shapes planner, attacker and defenses, the digests of their files among it."""
+    setting = worker.setting
+    parts = (setting.planner, setting.attacker, *setting.defenses)
+    return [dict(getattr(part, "parameters", {})) for part in parts]
 
 
 @lru_cache(maxsize=1)

@@ -13,12 +13,12 @@ import fcntl
 import os
 from collections.abc import Iterator
 from contextlib import suppress
-from functools import partial
-from hashlib import sha256
+from functools import lru_cache, partial
+from hashlib import file_digest, sha256
 from pathlib import Path
 from time import monotonic
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import msgspec
 from msgspec import Raw, Struct
@@ -235,6 +235,40 @@ def read_log(path: Path, *, is_partial_allowed: bool = False) -> tuple[Campaign,
     if record.schema != SCHEMA:
         raise LogError(f"is `{record.schema}`, this reads `{SCHEMA}`", where=f"{path}:1")
     return record, _trials(path, lines, link, is_partial_allowed=is_partial_allowed)
+
+
+class WholeLog(NamedTuple):
+    """A log in memory, for those who answer from it; its digest is of the file, base64url."""
+
+    campaign: Campaign
+    trials: tuple[Trial, ...]
+    digest: str
+
+
+def whole_log(path: Path) -> WholeLog:
+    """Return a log, whole or cut; read once while its file stays the same.
+
+    Raises:
+        LogError: as `read_log`.
+    """
+    return _whole_log(path, file_stamp(path))
+
+
+@lru_cache(maxsize=2)
+def _whole_log(path: Path, stamp: object) -> WholeLog:  # noqa: ARG001 - another file, another log
+    campaign, trials = read_log(path, is_partial_allowed=True)
+    found = tuple(trials)
+    with path.open("rb") as file:
+        return WholeLog(campaign, found, b64(file_digest(file, "sha256").digest()))
+
+
+def file_stamp(path: Path) -> object:
+    """Return what changes when a file is written anew; None of one that is not there."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_size, found.st_mtime_ns
 
 
 def has_trials(path: Path) -> bool:

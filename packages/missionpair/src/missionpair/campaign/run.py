@@ -19,7 +19,7 @@ from missionpair.campaign.cluster import on_cluster
 from missionpair.campaign.log import LogWriter, has_trials
 from missionpair.campaign.plan import CampaignPlan, PlanError, Progress
 from missionpair.campaign.team import Team
-from missionpair.campaign.worker import Ran, Worker
+from missionpair.campaign.worker import TrialResult, Worker
 from missionpair.defenses import DefenseError
 from missionpair.records import SCHEMA, Campaign, NamedPart, Qualified, Trial
 
@@ -110,14 +110,14 @@ def _run(
     return campaign
 
 
-def alone(worker: Worker, ahead: Ahead, numbers: Iterable[int]) -> Iterator[Ran]:
+def alone(worker: Worker, ahead: Ahead, numbers: Iterable[int]) -> Iterator[TrialResult]:
     """Yield the trials of these pairs, run one after the other."""
     for number in numbers:
         kept = ahead.kept(number) if worker.is_paid else ()
         yield from kept or worker.trials(number)
 
 
-def answered(found: Iterable[Ran]) -> Iterator[Trial]:
+def answered(found: Iterable[TrialResult]) -> Iterator[Trial]:
     """Yield trials, but none of those at the end without an answer.
 
     A trial without an answer waits until a later one has one. So a model that is away leaves no
@@ -128,7 +128,7 @@ def answered(found: Iterable[Ran]) -> Iterator[Trial]:
             be reached, in the last one.
         AttackerError: as `PlannerError`.
     """
-    waiting: list[Ran] = []
+    waiting: list[TrialResult] = []
     is_heard = False
     for ran in found:
         waiting.append(ran)

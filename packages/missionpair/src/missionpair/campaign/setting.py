@@ -14,7 +14,7 @@ from missionpair.score import Weights
 from missionpair.words import Access, TrialKind
 
 
-class Who(NamedTuple):
+class Participants(NamedTuple):
     """Target and attacker."""
 
     planner: Planner
@@ -50,12 +50,12 @@ class Setting:
     seeds: int
     kinds: tuple[TrialKind, ...]
     weights: Weights
-    fresh: Callable[[], Who] | None = None
+    fresh: Callable[[], Participants] | None = None
 
-    def who(self, defense: int) -> Who:
+    def who(self, defense: int) -> Participants:
         """Return planner and attacker of one of the defenses, by its place."""
         if defense == 0 or self.fresh is None:
-            return Who(self.planner, self.attacker)
+            return Participants(self.planner, self.attacker)
         return self.fresh()
 
     @property

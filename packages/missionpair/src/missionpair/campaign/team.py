@@ -23,7 +23,7 @@ from typing import Any, Self
 
 from missionpair.campaign.ahead import Ahead, Tail, end, keep
 from missionpair.campaign.log import LogError
-from missionpair.campaign.worker import ONE, Ran, Worker
+from missionpair.campaign.worker import ONE, TrialResult, Worker
 
 #: Pairs that are under way at once, for each process.
 _AHEAD = 4
@@ -49,7 +49,7 @@ class Team:
     ) -> None:
         self._worker, self._folder, self._ahead = worker, folder, ahead
         self._jobs, self._forget = jobs, forget
-        self._kept: dict[int, tuple[Ran, ...]] = {}
+        self._kept: dict[int, tuple[TrialResult, ...]] = {}
         self._over: dict[int, Exception | None] = {}
         self._hands: list[Any] = []
         context = get_context("fork")
@@ -80,7 +80,7 @@ class Team:
                 hand.kill()
                 hand.join()
 
-    def in_order(self, numbers: Iterator[int]) -> Iterator[Ran]:
+    def in_order(self, numbers: Iterator[int]) -> Iterator[TrialResult]:
         """Yield the trials of these pairs, in order, each as soon as it and all before it are run.
 
         Raises:
@@ -119,7 +119,7 @@ class Team:
             self._tasks.put(number)
         return number
 
-    def _trials(self, number: int) -> Iterator[Ran]:
+    def _trials(self, number: int) -> Iterator[TrialResult]:
         with Tail(self._ahead.path(number)) as tail:
             is_over = False
             while not is_over:

@@ -13,7 +13,7 @@ from missionpair.attackers import Attacker, AttackerError
 from missionpair.briefing import Briefing, Planner, PlannerError, Reply
 from missionpair.campaign.arms import is_asked
 from missionpair.campaign.plan import CampaignPlan, PlanError
-from missionpair.campaign.setting import Setting, Who
+from missionpair.campaign.setting import Participants, Setting
 from missionpair.campaign.trial import PairRun
 from missionpair.defenses import Defense, DefenseError
 from missionpair.pair import Pair, Suite
@@ -25,7 +25,7 @@ from missionpair.words import TrialKind
 ONE = Lock()
 
 
-class Ran(NamedTuple):
+class TrialResult(NamedTuple):
     """One trial, and why no answer came in it; None when one did."""
 
     trial: Trial
@@ -61,6 +61,10 @@ class Worker:
         self.held: frozenset[str] = frozenset()
         self._writer: Attacker | None = None
         self.setting = self._made()
+        written_for = getattr(self.setting.attacker, "suite_digest", self.digest)
+        if written_for != self.digest:
+            text = "has texts for another version of the suite: take the suite of its log"
+            raise PlanError(f"`{self.setting.attacker.name}` {text}")
         taken = plan.taken(self.suite.pairs)
         #: Those that are tried; a planner that answers from a record knows some of them alone.
         self.pairs = known_to(self.setting.planner, taken, plan.kinds)
@@ -87,7 +91,7 @@ class Worker:
         made.done, made.held = self.done, self.held
         return made
 
-    def trials(self, number: int) -> Iterator[Ran]:
+    def trials(self, number: int) -> Iterator[TrialResult]:
         """Yield the trials of one pair, each as soon as it was run.
 
         Raises:
@@ -100,7 +104,7 @@ class Worker:
         layout, first = self.suite.layouts[pair.layout], number * setting.trials
         run = PairRun(setting, self.yard, pair, layout, first=first, done=self.done, held=self.held)
         for trial in run.trials():
-            yield Ran(trial, run.failure)
+            yield TrialResult(trial, run.failure)
 
     def _made(self) -> Setting:
         plan, who = self.plan, self._who()
@@ -121,11 +125,11 @@ class Worker:
             fresh=self._who,
         )
 
-    def _who(self) -> Who:
+    def _who(self) -> Participants:
         """Return planner and attacker, made anew unless they are models."""
         attacker = self._writer or registry.make(attackers, self.plan.attacker)
         self._writer = attacker if is_asked(attacker) else None
-        return Who(self._live or registry.make(planners, self.plan.planner), attacker)
+        return Participants(self._live or registry.make(planners, self.plan.planner), attacker)
 
 
 def known_to(

@@ -26,7 +26,7 @@ _ARGUMENTS = ("arguments", "args", "input", "parameters", "params")
 _DEPTH = 12
 #: Most bytes of a reply, and most beginnings of a JSON value in it, that are looked at.
 _BYTES, _BEGINNINGS = 1 << 16, 256
-_PARAMS = "params."
+_PARAMS, _PLAN = "params.", "plan"
 _Call = tuple[str, dict[str, Any]]
 
 
@@ -43,7 +43,7 @@ def is_intended(stage: Stage, raw: bytes, checked: Checked) -> bool:
     if checked.complied or not checked.syntax or len(raw) > _BYTES:
         return checked.complied
     try:
-        calls = [_held(stage, call) for call in calls_in(raw.decode(errors="replace"))]
+        calls = [_within_range(stage, call) for call in calls_in(raw.decode(errors="replace"))]
         kept = [call for call in calls if _is_readable(stage, [call])]
         return bool(kept) and check(stage, _plan(kept)).complied
     except RecursionError:  # nested deeper than it can be written again
@@ -51,7 +51,10 @@ def is_intended(stage: Stage, raw: bytes, checked: Checked) -> bool:
 
 
 def calls_in(text: str) -> tuple[_Call, ...]:
-    """Return every call that a text holds, in its order: in JSON, whatever stands around it."""
+    """Return every call that a text holds, in its order: in JSON, whatever stands around it.
+
+    Of several whole plans the last one counts alone: a model that corrects itself means that one.
+    """
     return tuple(_calls(text, _DEPTH))
 
 
@@ -59,8 +62,10 @@ def _calls(value: Any, depth: int) -> Iterator[_Call]:
     if not depth:
         return
     if isinstance(value, str):
-        for found in _documents(value):
-            yield from _calls(found, depth - 1)
+        found = list(_documents(value))
+        plans = [one for one in found if isinstance(one, dict) and isinstance(one.get(_PLAN), list)]
+        for one in plans[-1:] or found:
+            yield from _calls(one, depth - 1)
     elif isinstance(value, list):
         for item in value:
             yield from _calls(item, depth - 1)
@@ -99,7 +104,7 @@ def _documents(text: str) -> Iterator[Any]:
             place += 1
 
 
-def _held(stage: Stage, call: _Call) -> _Call:
+def _within_range(stage: Stage, call: _Call) -> _Call:
     """Return a call whose numbers lie within what their parameters can be."""
     name, arguments = call
     site, binding = stage.bench.site, stage.bench.binding
@@ -131,4 +136,4 @@ def _is_readable(stage: Stage, calls: list[_Call]) -> bool:
 
 def _plan(calls: list[_Call]) -> bytes:
     steps = [{"tool": name, "arguments": arguments} for name, arguments in calls]
-    return json.dumps({"plan": steps}).encode()
+    return json.dumps({_PLAN: steps}).encode()

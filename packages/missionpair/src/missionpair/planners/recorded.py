@@ -9,6 +9,7 @@ docs/howto/missionpair-models.md#recorded
 from __future__ import annotations
 
 from collections import Counter
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -90,12 +91,15 @@ def make(*, file: str = "") -> RecordedPlanner:
     if not file:
         raise ValueError("name the file: `file=FILE`")
     try:
-        return _read(Path(file))
+        from missionpair.campaign.log import file_stamp
+
+        return _read(Path(file), file_stamp(Path(file)))
     except SourceError as error:
         raise PlannerError(error.message, code="file", where=error.where) from error
 
 
-def _read(path: Path) -> RecordedPlanner:
+@lru_cache(maxsize=2)
+def _read(path: Path, stamp: object) -> RecordedPlanner:  # noqa: ARG001 - another file, others
     head: RepliesHead | None = None
     replies: dict[_Key, PairReply] = {}
     for where, line in lines_of(path):

@@ -133,11 +133,11 @@ def make(*, log: str = "", file: str = "", defense: str = "") -> ReplayPlanner:
 
 
 def _of_log(path: Path, defense: str) -> ReplayPlanner:
-    from missionpair.campaign.log import LogError, read_log
+    from missionpair.campaign.log import LogError, whole_log
 
     kept: _Answers = {}
     try:
-        campaign, trials = read_log(path, is_partial_allowed=True)
+        campaign, trials, digest = whole_log(path)
         names = [named.name for named in campaign.defenses]
         if defense and defense not in names:
             raise _broken(path, f"has no defense `{defense}`: {', '.join(names)}", code="log")
@@ -150,7 +150,7 @@ def _of_log(path: Path, defense: str) -> ReplayPlanner:
                     _add(kept, (trial.seed + number, one.inputs), _of_round(one))
     except LogError as error:
         raise ReplayError(error.message, code="log", where=error.where) from error
-    of = {"planner": msgspec.to_builtins(campaign.planner), "log": _digest(path)}
+    of = {"planner": msgspec.to_builtins(campaign.planner), "log": digest}
     simulated = campaign.planner.simulated
     return ReplayPlanner(kept, simulated=simulated, of=of, where=str(path))
 

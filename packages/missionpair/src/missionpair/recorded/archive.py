@@ -8,6 +8,7 @@ How-to: docs/howto/missionpair-recorded.md
 
 from __future__ import annotations
 
+import gzip
 import os
 import stat
 import tarfile
@@ -93,10 +94,24 @@ class _SizeBounds:
             raise SourceError(text, where=str(self._source))
 
 
+class _BoundedArchive(gzip.GzipFile):
+    """An archive's bytes; a header that asks for more than a file has at once is refused."""
+
+    def read(self, size: int | None = -1) -> bytes:
+        """Return the next bytes.
+
+        Raises:
+            tarfile.ReadError: more are asked for than a file and its padding may have.
+        """
+        if size is None or not 0 <= size <= MEMBER_BYTES + tarfile.BLOCKSIZE:
+            raise tarfile.ReadError(f"a header asks for {size} bytes at once")
+        return super().read(size)
+
+
 def _in_archive(source: Path) -> Iterator[tuple[tuple[str, ...], str, bytes]]:
     last, bounds = str(source), _SizeBounds(source)
     try:
-        with tarfile.open(source, "r|gz") as archive:
+        with _BoundedArchive(source) as unpacked, tarfile.open(fileobj=unpacked) as archive:
             for member in archive:
                 last = f"{source}:{member.name}"
                 parts = _parts(member.name, last)
@@ -112,7 +127,7 @@ def _in_archive(source: Path) -> Iterator[tuple[tuple[str, ...], str, bytes]]:
                 yield parts, last, data
     except OSError as error:
         raise SourceError(f"cannot be read: {error.strerror or error}", where=last) from error
-    except (tarfile.TarError, EOFError, zlib.error, ValueError) as error:
+    except (tarfile.TarError, EOFError, zlib.error, ValueError, RecursionError) as error:
         text = f"the archive is no whole `.tar.gz`: it ends or breaks here ({error})"
         raise SourceError(text, where=last) from error
 
@@ -131,10 +146,11 @@ def _in_folder(source: Path) -> Iterator[tuple[tuple[str, ...], str, bytes]]:
         for name in (*folders, *sorted(names)):
             path = Path(folder) / name
             found = path.lstat()
-            bounds.take(str(path), 0)
+            is_file = stat.S_ISREG(found.st_mode)
+            bounds.take(str(path), found.st_size if is_file else 0)
             if stat.S_ISDIR(found.st_mode):
                 continue
-            if not stat.S_ISREG(found.st_mode):
+            if not is_file:
                 text = "is a link or a device; a plain file is expected"
                 raise SourceError(text, where=str(path))
             yield path.relative_to(source).parts, str(path), _read(path)

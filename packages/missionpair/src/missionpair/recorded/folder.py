@@ -7,13 +7,15 @@
     SUITE/binding.json   what each argument means
     SUITE/TASK.token     the task's mission, signed with a key of a demonstration
 
+The missions are there to be read: a replay makes and signs its own, the same ones.
+
 How-to: docs/howto/missionpair-recorded.md
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from hashlib import sha256
+from hashlib import file_digest, sha256
 from pathlib import Path
 
 import msgspec
@@ -30,13 +32,14 @@ RUNS_FILE, SOURCE_FILE, FORMAT = "runs.jsonl", "source.json", "missionpair/recor
 _MAX_LINE = 8 << 20
 
 
-class MarkSource(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class ImportedRuns(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """What was imported.
 
     Args:
         format: of this folder.
         name: of the file or folder that was read.
         digest: SHA-256 of the archive, or of every run with its name; base64url.
+        lines: SHA-256 of `runs.jsonl`, base64url.
         runs: how many it holds, those whose task is an attack's among them.
         attacked: how many had an attack.
         landed: in how many the attack reached its goal.
@@ -46,6 +49,7 @@ class MarkSource(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     format: str
     name: str
     digest: str
+    lines: str
     runs: int
     attacked: int
     landed: int
@@ -54,7 +58,7 @@ class MarkSource(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 def import_agentdojo(
     source: Path, out: Path, *, show: Callable[[int], None] = lambda _: None
-) -> MarkSource:
+) -> ImportedRuns:
     """Read a source distribution of AgentDojo, and write its runs and missions to a new folder.
 
     Args:
@@ -77,24 +81,27 @@ def import_agentdojo(
     return found
 
 
-def _write_runs(source: Path, out: Path, show: Callable[[int], None]) -> MarkSource:
+def _write_runs(source: Path, out: Path, show: Callable[[int], None]) -> ImportedRuns:
     count, attacked, landed, pipelines = 0, 0, 0, set[str]()
-    digest = sha256()
+    written = sha256()
     with (out / RUNS_FILE).open("wb") as file:
         for count, run in enumerate(runs_of(source), 1):
             line = msgspec.json.encode(run) + b"\n"
             file.write(line)
-            digest.update(line)
+            written.update(line)
             attacked += bool(run.kind)
             landed += run.landed
             pipelines.add(run.pipeline)
             show(count)
+    digest = written
     if not source.is_dir():
-        digest = sha256(source.read_bytes())
-    return MarkSource(
+        with source.open("rb") as archive:
+            digest = file_digest(archive, "sha256")
+    return ImportedRuns(
         format=FORMAT,
         name=source.name,
         digest=b64(digest.digest()),
+        lines=b64(written.digest()),
         runs=count,
         attacked=attacked,
         landed=landed,
@@ -124,7 +131,7 @@ def _remove(folder: Path) -> None:
     folder.rmdir()
 
 
-def read_source(folder: Path) -> MarkSource:
+def read_source(folder: Path) -> ImportedRuns:
     """Return what was imported into a folder.
 
     Raises:
@@ -132,7 +139,7 @@ def read_source(folder: Path) -> MarkSource:
     """
     path = folder / SOURCE_FILE
     try:
-        found = msgspec.json.decode(path.read_bytes(), type=MarkSource)
+        found = msgspec.json.decode(path.read_bytes(), type=ImportedRuns)
     except OSError as error:
         text = f"cannot be read: {error.strerror}; make it with `missionpair import agentdojo`"
         raise SourceError(text, where=str(path)) from error
@@ -149,9 +156,10 @@ def read_runs(folder: Path) -> Iterator[RecordedRun]:
     """Yield the runs of a folder.
 
     Raises:
-        SourceError: it cannot be read, or a line is no run.
+        SourceError: it cannot be read, a line is no run, or they are not those that were imported.
     """
-    path, number = folder / RUNS_FILE, 0
+    path, number, found = folder / RUNS_FILE, 0, sha256()
+    expected = read_source(folder).lines
     decoder = msgspec.json.Decoder(RecordedRun)
     try:
         with path.open("rb") as file:
@@ -159,8 +167,12 @@ def read_runs(folder: Path) -> Iterator[RecordedRun]:
                 number += 1
                 if not line.endswith(b"\n"):
                     raise SourceError("ends in the middle of a line", where=f"{path}:{number}")
+                found.update(line)
                 yield decoder.decode(line)
     except OSError as error:
         raise SourceError(f"cannot be read: {error.strerror}", where=str(path)) from error
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise SourceError(f"is no recorded run: {error}", where=f"{path}:{number}") from error
+    if b64(found.digest()) != expected:
+        text = f"has other runs than `{SOURCE_FILE}` says: import the source again"
+        raise SourceError(text, where=str(path))

@@ -215,10 +215,10 @@ def import_replies(
 
     Raises:
         SourceError: a line is no reply of this form, answers what another one answered, or is of
-            another model; or nobody says which model answered, and when.
+            another model; nobody says which model answered, and when; or the log says other dates.
         FileExistsError: there is such a file.
     """
-    models, dates, replies = _said(model), _said(date), dict[tuple[str, str, int], PairReply]()
+    models, dates, replies = _said(model), set[str](), dict[tuple[str, str, int], PairReply]()
     for where, record, answer in _read(form, source):
         _agree(models, record.model or answer.model, "the model", where)
         dates |= _said(record.date or answer.date)
@@ -235,6 +235,10 @@ def import_replies(
             text = f"answers `{reply.pair}`, {reply.kind}, round {reply.round} a second time"
             raise SourceError(text, where=where)
         replies[key] = reply
+    if date and dates and date not in dates:
+        text = f"says other dates ({', '.join(sorted(dates)[:3])}) than `--date {date}`"
+        raise SourceError(text, where=str(source))
+    dates = _said(date) or dates
     head = RepliesHead(
         format=FORMAT,
         model=_one(models, "which model answered: say `--model`", source),

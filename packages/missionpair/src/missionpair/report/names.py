@@ -52,11 +52,15 @@ def category(name: str) -> str:
 
 def attack(attacker: NamedPart) -> str:
     """Return an attack method's name, as the paper has it where it does."""
-    replayed = attacker.parameters.get("attacker")
-    name = attacker.name
-    if isinstance(replayed, dict) and isinstance(replayed.get("name"), str):
-        name = replayed["name"]
+    name = attack_method(attacker)
     return _marked(ATTACKS.get(name, printable(name)), simulated=attacker.simulated)
+
+
+def attack_method(attacker: NamedPart) -> str:
+    """Return an attacker's name; of a replay that of who wrote its texts."""
+    replayed = attacker.parameters.get("attacker")
+    name = replayed.get("name") if isinstance(replayed, dict) else None
+    return name if isinstance(name, str) else attacker.name
 
 
 def planner(named: NamedPart) -> Cell:

@@ -18,6 +18,7 @@ from missionpair.report.names import (
     SIMULATED,
     SYSTEMS,
     attack,
+    attack_method,
     category,
     is_papers_setup,
     live,
@@ -77,7 +78,9 @@ def live_table(run: DefenseRun, *, main: bool) -> Table:
     """Return compliance and blocking by category, as `tab:pilot-live-llm` has it."""
     campaign, found = run.measured.campaign, live(run.measured, run.defense)
     is_beside = is_papers_setup(run.measured, run.defense)
-    beside = [found] if found else _same_attack(campaign.attacker.name) if is_beside else []
+    beside = (
+        [found] if found else _same_attack(attack_method(campaign.attacker)) if is_beside else []
+    )
     rows = run.measured.by(Dimension.CATEGORY, run.defense)
     pooled = run.measured.tally(run.defense)
     gate = "AuthGuard-R" if run.defense in GATES else printable(run.defense)
