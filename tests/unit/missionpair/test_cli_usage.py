@@ -30,7 +30,7 @@ WRONG: dict[str, tuple[tuple[str, ...], str]] = {
     "approvers": (("--gate", "g", "--trust", "t", "--as", "a", "--delay", "x"), "--delay"),
     "run": (("live", "--access", "purple"), "--access"),
     "live": (("out", "--rounds", "0"), "--rounds"),
-    "list": (("more",), ""),
+    "list": (("hand", "--rounds", "0"), "--rounds"),
     "report": ((), "LOG..."),
     "compare": (("one",), "LOG"),
     "require": ((), "LOG..."),

@@ -21,6 +21,7 @@ import pytest
 from missionpair import cli
 from missionpair.campaign.cluster import ClusterError, pair_ran
 from missionpair.campaign.plan import CampaignPlan
+from missionpair.suites import load
 
 ENVIRONMENT = os.environ.get("AUTHGUARD_RAY", "")
 #: What runs in the namespace: it begins a cluster with two processors, and does one thing with it.
@@ -188,10 +189,13 @@ def test_a_cluster_that_is_not_there_is_told_at_once(
     assert "ray" in found["message"]
 
 
-def test_a_machine_with_another_suite_is_refused_and_says_so_from_afar() -> None:
+def test_a_machine_with_another_suite_or_file_is_refused_and_says_so_from_afar() -> None:
     plan = CampaignPlan(suite="hand", planner="hijacked")
+    digest = load("hand")[1]
+    with pytest.raises(ClusterError, match="copy the same one everywhere"):
+        pair_ran(plan, (digest, [{"log": "another file's digest"}, {}, {}]), 0, frozenset(), 0)
     with pytest.raises(ClusterError, match="install one version everywhere") as refused:
-        pair_ran(plan, "another digest", 0, frozenset(), 0)
+        pair_ran(plan, ("another digest", []), 0, frozenset(), 0)
     again = pickle.loads(pickle.dumps(refused.value))
     assert (again.message, again.where) == (refused.value.message, refused.value.where)
 

@@ -233,6 +233,18 @@ def test_another_planner_has_a_table_of_its_own_beside_both_of_the_papers() -> N
     assert cells(one, 7)[:3] == ["Pooled (20 trials)", "13/20 = 65.0% [0.43, 0.82]", "13/13"]
 
 
+def test_a_replay_has_beside_it_what_the_paper_has_of_the_attacker_of_its_texts() -> None:
+    planner = NamedPart("replay", parameters={"planner": {"name": "small"}})
+    texts = NamedPart("replay", parameters={"attacker": {"name": "adaptive"}})
+    one = table(report([live(planner, texts, {"goal": 3})]), "live-replay-replay")
+    assert [head.name for head in one.heads if head.published] == [
+        "Published: Claude Haiku 4.5",
+        "Published: Qwen2.5 7B",
+    ]
+    adaptive = published().planners[1].attacks["adaptive"].compliance("goal")
+    assert one.rows[0][-1] == adaptive
+
+
 def test_an_attacker_that_the_paper_has_not_has_nothing_published_beside() -> None:
     found = report([live(HAIKU, NamedPart("search"), {"goal": 1})])
     assert [head.published for head in table(found, "live-haiku-search").heads] == [False] * 3

@@ -21,13 +21,14 @@ from authguard_r.wire.messages import ClientRole
 from missionpair.ablation import CHECKS, without
 from missionpair.approvers import Policy, Script, read_delay
 from missionpair.bench import Bench, make_bench
+from missionpair.cli_list import list_command
 from missionpair.cli_live import live_command
 from missionpair.cli_mutate import mutate_command
 from missionpair.cli_perceive import perceive_command
 from missionpair.cli_recorded import imports, recorded_command
 from missionpair.cli_report import compare, report
 from missionpair.cli_require import require
-from missionpair.cli_run import list_command, run_command
+from missionpair.cli_run import run_command
 from missionpair.faults import FAULTS, USAGE, CommandFault, fault_of
 from missionpair.selfchecks import SELF_CHECKS
 from missionpair.suite import ATTACKS, BENIGN

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`missionpair run`: a campaign on the command line. `missionpair list`: what there is to run."""
+"""`missionpair run`: a campaign on the command line."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import Annotated, Any
 import typer
 
 from authguard_r.authoring.compile.sources import given_weights
-from missionpair import attackers, defenses, planners, registry, suites
+from missionpair import suites
 from missionpair.campaign.log import read_log
 from missionpair.campaign.run import CampaignPlan, Progress, run
 from missionpair.campaign.trial import MOST_TURNS
@@ -27,7 +27,7 @@ from missionpair.words import CONTROLS, Access, TrialKind
 _THOUSANDTHS = re.compile(r"0*[1-9][0-9]{0,6}", re.ASCII)
 
 
-_SuiteArgument = Annotated[str, typer.Argument(help="A suite's name, or the path of its file.")]
+SuiteArgument = Annotated[str, typer.Argument(help="A suite's name, or the path of its file.")]
 _PlannerOption = Annotated[
     str, typer.Option("--planner", help="The target: name, or name:option=value,...")
 ]
@@ -46,7 +46,7 @@ _DefenseOption = Annotated[
 ]
 _SeedsOption = Annotated[int, typer.Option("--seeds", min=1, help="Tries of each pair.")]
 _SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Of all dice.")]
-_RoundsOption = Annotated[
+RoundsOption = Annotated[
     int | None,
     typer.Option("--rounds", min=1, help="An attacker's tries; if absent 3 in `live`, else 1."),
 ]
@@ -65,7 +65,7 @@ _EveryOption = Annotated[
 _PairsOption = Annotated[
     int | None, typer.Option("--pairs", min=1, help="How many of them; all if absent.")
 ]
-_KindOption = Annotated[
+KindOption = Annotated[
     list[TrialKind] | None, typer.Option("--kind", help="Kinds of trial; all if absent.")
 ]
 _WeightsOption = Annotated[
@@ -90,7 +90,7 @@ _AsJsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON obje
 
 
 def run_command(
-    suite: _SuiteArgument,
+    suite: SuiteArgument,
     planner: _PlannerOption,
     out: _OutOption,
     attacker: _AttackerOption = "fixed",
@@ -98,11 +98,11 @@ def run_command(
     defense: _DefenseOption = None,
     seeds: _SeedsOption = 1,
     seed: _SeedOption = 0,
-    rounds: _RoundsOption = None,
+    rounds: RoundsOption = None,
     turns: _TurnsOption = None,
     every: _EveryOption = 1,
     pairs: _PairsOption = None,
-    kind: _KindOption = None,
+    kind: KindOption = None,
     weights: _WeightsOption = ",".join(map(str, DEFAULT.thousandths)),
     weight: _WeightOption = None,
     jobs: _JobsOption = 1,
@@ -143,28 +143,6 @@ def run_command(
     return 1 if summary["defenses"].get("both", {}).get("unauthorized") else 0
 
 
-def list_command(
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object, nothing else.")
-    ] = False,
-) -> int:
-    """List suites, planners, attackers and defenses, one line each."""
-    rooms = {"suites": suites, "planners": planners, "attackers": attackers, "defenses": defenses}
-    found = {
-        name: {item: registry.help_of(room, item) for item in registry.names(room)}
-        for name, room in rooms.items()
-    }
-    found["suites"] = {name: text + _usually(name) for name, text in found["suites"].items()}
-    if as_json:
-        sys.stdout.write(json.dumps(found) + "\n")
-        return 0
-    for name, items in found.items():
-        width = max(map(len, items), default=0)
-        lines = [f"  {item.ljust(width)}  {text}" for item, text in items.items()]
-        sys.stdout.write("\n".join((f"{name}:", *lines, "")) + "\n")
-    return 0
-
-
 def _weights(text: str) -> Weights:
     """Return the weights of the score.
 
@@ -179,12 +157,6 @@ def _weights(text: str) -> Weights:
         )
     names = Weights.__struct_fields__
     return Weights(**dict(zip(names, map(int, parts), strict=True)))
-
-
-def _usually(suite: str) -> str:
-    """Return what is usual for a suite, where that is not one round with one answer."""
-    said = [f"{name} {n}" for name, n in suites.usual(suite)._asdict().items() if n != 1]
-    return f" ({', '.join(said)})" if said else ""
 
 
 def summary_of(campaign: Campaign, log: Path) -> dict[str, Any]:
