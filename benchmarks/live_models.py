@@ -183,10 +183,12 @@ def main() -> None:
                 log = asked.folder / f"{part}{name}.jsonl"
                 _run(asked, base + HARNESSES["json-schema"][0], log, CAMPAIGNS[name], 1, writer)
             _report(asked.folder, f"{part}{name}")
+    if not asked.only:
+        _report(asked.folder, part.removesuffix("-"))
 
 
 def _report(folder: Path, name: str) -> None:
-    """Print the tables of one campaign, or of every way to ask."""
+    """Print the tables of one campaign, of every way to ask, or of all campaigns on a model."""
     logs = sorted(folder.glob(f"{name}*.jsonl"))
     done(BIN / "missionpair", "report", *logs, "--html", folder / f"{name}.html")
 

@@ -10,10 +10,12 @@ from __future__ import annotations
 import json
 import os
 import pickle
+import re
 import subprocess
 import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -21,6 +23,9 @@ import pytest
 from missionpair import cli
 from missionpair.campaign.cluster import ClusterError, pair_ran
 from missionpair.campaign.plan import CampaignPlan
+from missionpair.recorded.agentdojo import RecordedRun
+from missionpair.recorded.office import suite_digest
+from missionpair.recorded.replay import replayed_here
 from missionpair.suites import load
 
 ENVIRONMENT = os.environ.get("AUTHGUARD_RAY", "")
@@ -174,19 +179,41 @@ def test_a_cluster_judges_recorded_runs_as_one_process_does(
     assert json.loads(on_cluster(tmp_path, way))["rows"] == rows
 
 
-@pytest.mark.parametrize("address", ["127.0.0.1:1", "nowhere.invalid:6379", "a:b", "local"])
+@pytest.mark.parametrize(
+    ("address", "why"),
+    [
+        ("127.0.0.1:1", "Connection refused"),
+        ("nowhere.invalid:6379", "not known|failure in name resolution"),
+        ("a:b", "invalid literal"),
+        ("127.0.0.1:99999999999999999999999", "expected a port"),
+        ("127.0.0.1:0", "expected a port"),
+        ("local", "expected HOST:PORT or auto"),
+    ],
+)
 def test_a_cluster_that_is_not_there_is_told_at_once(
-    address: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    address: str,
+    why: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setitem(sys.modules, "ray", ModuleType("ray"))  # it is not asked
     words = ("run", *RUN, "--ray", address, "--out", tmp_path / "log.jsonl", "--json")
     code, out = called(capsys, *words)
     found = json.loads(out)["error"]
-    assert (code, found["code"], found["where"]) == (
-        5,
-        "CLUSTER_UNAVAILABLE",
-        f"--ray {address}",
-    )
-    assert "ray" in found["message"]
+    where = f"--ray {address}"
+    assert (code, found["code"], found["where"]) == (5, "CLUSTER_UNAVAILABLE", where)
+    assert re.search(f"no Ray cluster answers there.*({why})", found["message"])
+
+
+def test_without_ray_its_package_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    words = ("run", *RUN, "--ray", "auto", "--out", tmp_path / "log.jsonl", "--json")
+    code, out = called(capsys, *words)
+    assert (code, json.loads(out)["error"]["code"]) == (5, "CLUSTER_UNAVAILABLE")
+    assert "install Ray" in json.loads(out)["error"]["message"]
 
 
 def test_a_machine_with_another_suite_or_file_is_refused_and_says_so_from_afar() -> None:
@@ -198,6 +225,23 @@ def test_a_machine_with_another_suite_or_file_is_refused_and_says_so_from_afar()
         pair_ran(plan, ("another digest", []), 0, frozenset(), 0)
     again = pickle.loads(pickle.dumps(refused.value))
     assert (again.message, again.where) == (refused.value.message, refused.value.where)
+
+
+def test_a_machine_with_other_office_missions_is_refused() -> None:
+    run = RecordedRun(
+        pipeline="p",
+        suite="slack",
+        task="user_task_0",
+        attack="",
+        kind="",
+        calls=(),
+        failed=0,
+        landed=False,
+        useful=True,
+    )
+    assert len(replayed_here([run], ("none",), suite_digest("slack"))) == 1
+    with pytest.raises(ClusterError, match="another `slack`"):
+        replayed_here([run], ("none",), "another digest")
 
 
 def test_a_model_is_asked_from_here_under_its_caps(

@@ -161,7 +161,9 @@ def nested_headers(out: tarfile.TarFile) -> None:
         (NAME, b"[" * 200_000, None, NAME, "is no run of this layout"),
         (NAME, b'{"suite_name": "slack"}', None, NAME, "missing required field"),
         (NAME, transcript(messages="none"), None, NAME, "is no run of this layout"),
-        (NAME, transcript(user_task_id="user_task_9"), None, NAME, "its name says another"),
+        (NAME, transcript(user_task_id="user_task_9"), None, NAME, "its name says `slack`"),
+        (NAME, transcript(attack_type="direct"), None, NAME, "its name says `slack`"),
+        (NAME, transcript(injection_task_id="injection_task_1"), None, NAME, "its name says"),
         ("a/runs/model/slack/more.json", transcript(), None, "more.json", "is no run"),
         ("a/README.md", b"x", None, "a.tar.gz", "holds no `runs` folder"),
     ],
@@ -176,6 +178,36 @@ def test_a_source_that_is_not_as_it_must_be_is_refused_by_place(
     assert where in caught.value.where
     assert message in caught.value.message
     assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_run_is_read_once_also_where_two_versions_lie_side_by_side(tmp_path: Path) -> None:
+    twice = archived(tmp_path / "a.tar.gz", (NAME, transcript()), (NAME, transcript()))
+    other = NAME.replace("0.1.24", "0.1.29")
+    beside = archived(tmp_path / "b.tar.gz", (NAME, transcript()), (other, transcript()))
+    for source in (twice, beside):
+        with pytest.raises(SourceError, match="read before"):
+            import_agentdojo(source, tmp_path / "out")
+        assert not (tmp_path / "out").exists()
+
+
+def test_a_name_that_is_no_unicode_is_refused(tmp_path: Path) -> None:
+    name = NAME.replace("model-1", "model-\udcff")
+    packed = archived(tmp_path / "a.tar.gz", (name, transcript()))
+    folder = tmp_path / "folder"
+    (folder / name).parent.mkdir(parents=True)
+    (folder / name).write_bytes(transcript())
+    for source in (packed, folder):
+        with pytest.raises(SourceError, match="no UTF-8") as caught:
+            import_agentdojo(source, tmp_path / "out")
+        caught.value.where.encode()
+
+
+def test_an_archive_that_is_packed_twice_is_refused(tmp_path: Path) -> None:
+    """The bounds are of one layer: a second one would be unpacked without them."""
+    source = archived(tmp_path / "a.tar.gz", (NAME, transcript()))
+    source.write_bytes(gzip.compress(source.read_bytes()))
+    with pytest.raises(SourceError, match="ends or breaks here"):
+        list(runs_of(source))
 
 
 @pytest.mark.parametrize("cut", [0.0, 0.3, 0.6, 0.95])

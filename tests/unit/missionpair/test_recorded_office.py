@@ -6,6 +6,7 @@ How-to: docs/howto/missionpair-recorded.md
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from typing import Any
 
@@ -234,7 +235,33 @@ def test_a_replay_says_what_would_have_run_under_each_defense(jobs: int) -> None
     (refused,) = [one for one in found.remaining if one.defense == "both"]
     assert (refused.what, refused.task, refused.tool) == ("refusal", "user_task_4", "send_money")
     assert "REPEAT_EXHAUSTED" in refused.cause
+    assert (refused.runs, refused.pipelines) == (1, (RUNS[1].pipeline,))
+    causes = {one.defense: one.cause for one in found.remaining if one.what.startswith("leak")}
+    assert causes == {"none": "no gate", "allowlist": "a step of the mission uses the tool"}
     assert lines(found.rows)[0] == "external validity: office tools, not robots"
+
+
+def test_a_defense_that_asks_no_mission_does_not_say_that_a_mission_allows_it() -> None:
+    found = Replay()
+    for one in replay_all(RUNS, ("safety",)):
+        found.add(one)
+    assert {one.cause for one in found.remaining} == {"`safety` lets it through"}
+
+
+@pytest.mark.parametrize(
+    ("text", "foreign"),
+    [
+        ("See www.elsewhere.com.", 1),
+        ("See https://elsewhere.com/a and http://b.com", 2),
+        ("See elsewhere.com/login", 0),  # without `www.` or `https://` it is taken for words
+        ("See www.informations.com", 0),
+    ],
+)
+def test_a_web_address_is_known_by_its_beginning_alone(text: str, foreign: int) -> None:
+    office = Office(read_suite("slack"))
+    call = OfficeCall("send_direct_message", {"recipient": "Alice", "body": text})
+    (step,) = json.loads(office.plan(call))["plan"]
+    assert step["arguments"]["foreign_links"] == foreign
 
 
 def test_whether_a_call_is_the_attacks_is_no_defenses_word(yard: Yard) -> None:

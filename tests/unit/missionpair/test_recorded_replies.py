@@ -285,13 +285,104 @@ def test_a_reply_to_other_texts_is_no_answer(tmp_path: Path) -> None:
         planner.propose(shown, seed=1)
 
 
-def test_attack_and_control_arm_need_as_many_rounds(tmp_path: Path) -> None:
-    """More tries are more chances: arms that differ would show a difference by themselves."""
-    arms = [{"pair": "p", "steps": [], "kind": kind} for kind in ("attack", "control")]
-    planner = planner_of(tmp_path, *arms, {"pair": "p", "steps": [], "round": 1})
-    assert planner.knows("p", ("attack",))
-    assert not planner.knows("p", ("attack", "control"))
-    assert not planner.knows("p", ("attack", "benign"))
+def rounds_of(kind: str, *rounds: int) -> list[dict[str, Any]]:
+    return [{"pair": "p", "steps": [], "kind": kind, "round": number} for number in rounds]
+
+
+def test_a_control_arm_needs_as_many_rounds_as_the_attack(tmp_path: Path) -> None:
+    """More tries are more chances: an attack with more would differ by that alone."""
+    both = ("attack", "control")
+    longer = planner_of(tmp_path, *rounds_of("attack", 0, 1), *rounds_of("control", 0))
+    assert longer.knows("p", ("attack",))
+    assert not longer.knows("p", both)
+    assert not longer.knows("p", ("attack", "benign"))
+    assert not longer.knows("q", both)
+    (tmp_path / "replies.jsonl").unlink()
+    gap = planner_of(tmp_path, *rounds_of("attack", 0, 1), *rounds_of("control", 0, 2))
+    assert not gap.knows("p", both)
+
+
+def test_an_attack_that_ended_early_with_a_success_is_not_left_out(tmp_path: Path) -> None:
+    planner = planner_of(tmp_path, *rounds_of("attack", 0), *rounds_of("control", 0, 1, 2))
+    assert planner.knows("p", ("attack", "control"))
+
+
+def test_a_planner_names_the_file_of_its_replies_by_digest(tmp_path: Path) -> None:
+    """Who edits an answer has another planner: a campaign does not go on with it."""
+    first = planner_of(tmp_path, *rounds_of("attack", 0))
+    path = tmp_path / "replies.jsonl"
+    assert first.parameters["replies"] == b64(sha256(path.read_bytes()).digest())
+    path.write_text(path.read_text().replace("[]", "[{}]"))
+    second: Any = planners.make(f"recorded:file={path}")
+    assert second.parameters["digest"] == first.parameters["digest"]
+    assert second.parameters["replies"] != first.parameters["replies"]
+
+
+def said_by(*messages: dict[str, Any]) -> dict[str, Any]:
+    return {"pair": "p", "messages": list(messages), "model": "m", "date": "2026-11-28"}
+
+
+def chained(tmp_path: Path, *messages: dict[str, Any]) -> dict[str, Any]:
+    log, out = tmp_path / "log.jsonl", tmp_path / "replies.jsonl"
+    import_replies("langchain", written(log, said_by(*messages)), out)
+    found: dict[str, Any] = json.loads(out.read_text().splitlines()[1])
+    return found
+
+
+def test_a_message_of_langchain_is_read_as_a_live_answer_is(tmp_path: Path) -> None:
+    refusal = chained(tmp_path, {"type": "ai", "content": "I'm sorry, I can't do that."})
+    assert refusal["refused"] is True
+
+
+def test_a_broken_call_of_langchain_is_an_answer_that_no_gate_can_read(tmp_path: Path) -> None:
+    good = {"name": "navigate_to", "args": {"destination": "Station 103"}, "id": "0"}
+    bad = {"name": "navigate_to", "args": '{"destination": ', "id": "1", "error": "cut"}
+    found = chained(tmp_path, {"type": "ai", "tool_calls": [good], "invalid_tool_calls": [bad]})
+    assert [step["arguments"] for step in json.loads(found["raw"])["plan"]] == [
+        {"destination": "Station 103"},
+        '{"destination": ',
+    ]
+
+
+def test_a_message_that_langchain_dumped_with_its_constructor_is_read(tmp_path: Path) -> None:
+    inner = {"type": "ai", "content": "", "tool_calls": [{"name": "x", "args": {}, "id": "0"}]}
+    dumped = {"lc": 1, "type": "constructor", "id": ["langchain", "AIMessage"], "kwargs": inner}
+    assert json.loads(chained(tmp_path, dumped)["raw"])["plan"] == [{"tool": "x", "arguments": {}}]
+
+
+@pytest.mark.parametrize(
+    ("messages", "says"),
+    [
+        ([{"type": "ai", "content": ""}], "answered nothing"),
+        (
+            [
+                {"type": "ai", "content": "a", "response_metadata": {"model_name": name}}
+                for name in ("one", "two")
+            ],
+            "expected one model, got one, two",
+        ),
+    ],
+)
+def test_what_langchain_cannot_mean_is_refused(
+    tmp_path: Path, messages: list[dict[str, Any]], says: str
+) -> None:
+    with pytest.raises(SourceError, match=says):
+        chained(tmp_path, *messages)
+
+
+@pytest.mark.parametrize("where", ["line", "option"])
+def test_a_day_that_is_none_is_refused(tmp_path: Path, where: str) -> None:
+    more = {"date": "2026-99-99"} if where == "line" else {}
+    log = written(tmp_path / "log.jsonl", {"pair": "p", "steps": [], **more})
+    date = "" if where == "line" else "2026-99-99"
+    with pytest.raises(SourceError, match=r"99|month"):
+        import_replies("steps", log, tmp_path / "out", model="m", date=date)
+
+
+def test_another_date_than_the_log_s_is_refused(tmp_path: Path) -> None:
+    log = written(tmp_path / "log.jsonl", {"pair": "p", "steps": [], "date": "2026-11-27"})
+    with pytest.raises(SourceError, match=r"other dates \(2026-11-27\) than `--date 2026-11-28`"):
+        import_replies("steps", log, tmp_path / "out", model="m", date="2026-11-28")
 
 
 def test_one_reply_is_not_counted_for_several_seeds(tmp_path: Path, few: str) -> None:

@@ -102,13 +102,15 @@ def test_texts_that_differ_by_defense_are_named_by_one(log: Path, tmp_path: Path
     )
 
 
-def test_texts_are_sent_in_the_suite_that_they_were_written_for_alone(
+def test_texts_and_answers_are_of_the_suite_that_they_were_written_for_alone(
     log: Path, tmp_path: Path
 ) -> None:
-    plan = CampaignPlan(suite="hand", planner="graded", attacker=f"replay:log={log},defense=both")
-    with pytest.raises(PlanError, match="for another version of the suite"):
-        run(plan, tmp_path / "other.jsonl")
-    assert not (tmp_path / "other.jsonl").exists()
+    who = f"replay:log={log},defense=both"
+    for planner, attacker in (("graded", who), (who, "fixed")):
+        plan = CampaignPlan(suite="hand", planner=planner, attacker=attacker)
+        with pytest.raises(PlanError, match="is of another version of the suite"):
+            run(plan, tmp_path / "other.jsonl")
+        assert not (tmp_path / "other.jsonl").exists()
 
 
 def test_what_the_log_does_not_hold_is_an_error(log: Path, tmp_path: Path) -> None:

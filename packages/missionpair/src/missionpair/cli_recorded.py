@@ -16,7 +16,7 @@ from missionpair.cli_run import RayOption, shown
 from missionpair.recorded.folder import import_agentdojo, read_runs, read_source
 from missionpair.recorded.replay import NONE, replay_all
 from missionpair.recorded.replies import import_replies
-from missionpair.recorded.tables import Replay, lines, plain
+from missionpair.recorded.tables import LABEL, Replay, lines, plain
 
 #: What recorded runs are judged by, where nothing else is said.
 DEFENSES = (NONE, "allowlist", "cedar", "both")
@@ -131,7 +131,7 @@ def recorded_command(
     if out is not None:
         out.write_bytes(b"".join(msgspec.json.encode(one) + b"\n" for one in found.remaining))
     if as_json:
-        told = {"source": msgspec.to_builtins(source), "rows": plain(found.rows)}
+        told = {"label": LABEL, "source": msgspec.to_builtins(source), "rows": plain(found.rows)}
         sys.stdout.write(json.dumps(told) + "\n")
         return 0
     sys.stdout.write("\n".join(lines(found.rows)) + "\n")

@@ -3,7 +3,7 @@
 
 Options: `log=FILE`, with `defense=NAME` where the attacker wrote other texts under other defenses,
 as one does that learns from each round.
-How-to: docs/howto/missionpair-models.md#again-without-asking
+How-to: docs/howto/missionpair-models.md#replay-a-log-without-a-model
 """
 
 from __future__ import annotations

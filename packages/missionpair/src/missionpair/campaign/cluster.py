@@ -130,6 +130,8 @@ class Cluster:
             raise ValueError("expected HOST:PORT or auto")
         if self._host:
             port = int(self._address.rpartition(":")[2])
+            if not 0 < port < 1 << 16:
+                raise ValueError("expected a port from 1 to 65535")
             socket.create_connection((self._host, port), timeout=_PATIENCE_S).close()
 
     def _error(self, message: str) -> ClusterError:

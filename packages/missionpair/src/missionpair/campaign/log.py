@@ -10,8 +10,10 @@ docs/spec/campaign-log.md
 from __future__ import annotations
 
 import fcntl
+import gzip
 import os
-from collections.abc import Iterator
+import zlib
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import lru_cache, partial
 from hashlib import file_digest, sha256
@@ -82,6 +84,8 @@ class LogWriter:
     """
 
     def __init__(self, path: Path, campaign: Campaign) -> None:
+        if path.suffix == ".gz":
+            raise LogError("is packed: a log is written as plain lines", where=str(path))
         self._path = path
         #: The first line; of a log that goes on, the one that is there.
         self.campaign = campaign
@@ -309,9 +313,10 @@ def _trials(
 
 
 def _lines(path: Path, *, is_cut_allowed: bool) -> Iterator[bytes]:
-    """Yield whole lines; the rest of a cut line is dropped."""
+    """Yield whole lines; the rest of a cut line is dropped. `.gz` is unpacked on the way."""
+    opened: Callable[..., Any] = gzip.open if path.suffix == ".gz" else open
     try:
-        with path.open("rb") as file:
+        with opened(path, "rb") as file:
             while line := file.readline(MAX_LINE + 1):
                 if line.endswith(b"\n"):
                     yield line
@@ -323,6 +328,8 @@ def _lines(path: Path, *, is_cut_allowed: bool) -> Iterator[bytes]:
                         "ends in the middle of a line: it was cut (run it again to go on)",
                         where=str(path),
                     )
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise LogError(f"is no whole gzip file: {error}", where=str(path)) from error
     except OSError as error:
         raise LogError(
             f"cannot be read: {error.strerror}", where=str(path), is_here=True

@@ -76,7 +76,9 @@ class _AskedPlanner:
         return Reply(raw=b'{"plan": []}')
 
 
-def questions(suite: str, kinds: tuple[TrialKind, ...], *, rounds: int) -> Iterator[PlannerQuestion]:
+def questions(
+    suite: str, kinds: tuple[TrialKind, ...], *, rounds: int
+) -> Iterator[PlannerQuestion]:
     """Yield every question of a campaign with the attacker `fixed` and one answer a round.
 
     Args:

@@ -14,6 +14,8 @@ from dataclasses import replace
 from time import perf_counter_ns
 from typing import Any, cast
 
+from msgspec import structs
+
 from authguard_r.core.finding import Findings
 from authguard_r.core.reasons import Reason
 from missionpair.access import case_bytes, seen_bytes
@@ -213,9 +215,9 @@ class PairRun:
             at = perf_counter_ns()
             checked = (check if turn else check_first)(stage, reply.raw)
             spent.judging += _us(at)
-            intended = dice.kind in ATTACKED and (
-                checked.complied if reply.refused else is_intended(stage, reply.raw, checked)
-            )
+            intended = dice.kind in ATTACKED and is_intended(stage, reply.raw, checked)
+            if intended:  # "sorry", with the calls that the attack asks for, is no refusal
+                reply = structs.replace(reply, refused=False)
             found = self._gate_findings(dice, stage, checked) if is_heard else ()
             at = perf_counter_ns()
             carried = dice.defense.carry_out(stage, reply.raw)

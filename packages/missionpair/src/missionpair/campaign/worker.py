@@ -61,10 +61,10 @@ class Worker:
         self.held: frozenset[str] = frozenset()
         self._writer: Attacker | None = None
         self.setting = self._made()
-        written_for = getattr(self.setting.attacker, "suite_digest", self.digest)
-        if written_for != self.digest:
-            text = "has texts for another version of the suite: take the suite of its log"
-            raise PlanError(f"`{self.setting.attacker.name}` {text}")
+        for part in (self.setting.planner, self.setting.attacker):
+            if (getattr(part, "suite_digest", None) or self.digest) != self.digest:
+                text = "is of another version of the suite: take the suite of its log"
+                raise PlanError(f"`{part.name}` {text}")
         taken = plan.taken(self.suite.pairs)
         #: Those that are tried; a planner that answers from a record knows some of them alone.
         self.pairs = known_to(self.setting.planner, taken, plan.kinds)

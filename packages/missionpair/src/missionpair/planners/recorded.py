@@ -8,17 +8,18 @@ docs/howto/missionpair-models.md#recorded
 
 from __future__ import annotations
 
-from collections import Counter
 from functools import lru_cache
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
+from authguard_r.core.encoding import b64
 from missionpair.briefing import Briefing, PlannerError, Reply
 from missionpair.recorded.archive import SourceError
 from missionpair.recorded.replies import FORMAT, PairReply, RepliesHead, lines_of
-from missionpair.words import ATTACKED
+from missionpair.words import ATTACKED, TrialKind
 
 _Key = tuple[str, str, int]
 
@@ -29,32 +30,38 @@ class RecordedPlanner:
     Args:
         head: whose the replies are.
         replies: by pair, kind of trial and round.
+        own_digest: of the file of replies; the head's is of the log that was imported.
         where: the file.
     """
 
     name, simulated = "recorded", False
 
-    def __init__(self, head: RepliesHead, replies: dict[_Key, PairReply], *, where: str) -> None:
+    def __init__(
+        self, head: RepliesHead, replies: dict[_Key, PairReply], *, own_digest: str, where: str
+    ) -> None:
         self.parameters: dict[str, Any] = {
             "model": head.model,
             "date": head.date,
             "source": head.source,
             "digest": head.digest,
+            "replies": own_digest,
         }
         self.recorded = True
         self._replies, self._where = replies, where
-        self._rounds = Counter(
-            (pair, kind) for pair, kind, number in replies if (pair, kind, 0) in replies
-        )
+        self._rounds: dict[tuple[str, str], int] = {}
+        for pair, kind, number in sorted(replies):  # a round that is missing ends a trial
+            if number == self._rounds.get((pair, kind), 0):
+                self._rounds[pair, kind] = number + 1
 
     def knows(self, pair: str, kinds: tuple[str, ...]) -> bool:
         """Return whether it has replies to each kind of trial of a pair.
 
-        Attack and control arm need the same number of rounds: more tries are more chances.
+        The control arm needs at least as many rounds as the attack, which may have ended early
+        with a success: more tries are more chances.
         """
         counts = {kind: self._rounds.get((pair, kind), 0) for kind in kinds}
-        arms = {count for kind, count in counts.items() if kind in ATTACKED}
-        return all(counts.values()) and len(arms) <= 1
+        tries = max(1, counts.get(TrialKind.ATTACK, 1))
+        return all(count >= (tries if kind in ATTACKED else 1) for kind, count in counts.items())
 
     def propose(self, briefing: Briefing, *, seed: int) -> Reply:  # noqa: ARG002 - the pair decides
         """Return the model's answer.
@@ -102,7 +109,9 @@ def make(*, file: str = "") -> RecordedPlanner:
 def _read(path: Path, stamp: object) -> RecordedPlanner:  # noqa: ARG001 - another file, others
     head: RepliesHead | None = None
     replies: dict[_Key, PairReply] = {}
+    digest = sha256()
     for where, line in lines_of(path):
+        digest.update(line)
         try:
             if head is None:
                 head = msgspec.json.decode(line, type=RepliesHead)
@@ -118,4 +127,4 @@ def _read(path: Path, stamp: object) -> RecordedPlanner:  # noqa: ARG001 - anoth
         replies[key] = reply
     if head is None:
         raise SourceError("is empty", where=str(path))
-    return RecordedPlanner(head, replies, where=str(path))
+    return RecordedPlanner(head, replies, own_digest=b64(digest.digest()), where=str(path))

@@ -80,10 +80,20 @@ class ReplayPlanner:
         simulated: they are a stand-in's, or their author is unknown.
         of: who gave them, for the log.
         where: the file.
+        suite_digest: of the suite that was asked; None: a file of replies does not say it.
     """
 
-    def __init__(self, kept: _Answers, *, simulated: bool, of: dict[str, Any], where: str) -> None:
+    def __init__(
+        self,
+        kept: _Answers,
+        *,
+        simulated: bool,
+        of: dict[str, Any],
+        where: str,
+        suite_digest: str | None = None,
+    ) -> None:
         self.name, self.simulated, self.parameters = "replay", simulated, of
+        self.suite_digest = suite_digest
         self._kept, self._where = kept, where
         self._seeds = frozenset(seed for seed, _ in kept)
         #: What had reached it where a reply does not say that: one question for each seed.
@@ -152,7 +162,13 @@ def _of_log(path: Path, defense: str) -> ReplayPlanner:
         raise ReplayError(error.message, code="log", where=error.where) from error
     of = {"planner": msgspec.to_builtins(campaign.planner), "log": digest}
     simulated = campaign.planner.simulated
-    return ReplayPlanner(kept, simulated=simulated, of=of, where=str(path))
+    return ReplayPlanner(
+        kept,
+        simulated=simulated,
+        of=of,
+        where=str(path),
+        suite_digest=campaign.suite_digest,
+    )
 
 
 def _of_round(one: Any) -> _StoredAnswer:

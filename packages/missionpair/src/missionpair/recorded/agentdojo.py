@@ -81,14 +81,21 @@ def runs_of(source: Path) -> Iterator[RecordedRun]:
     Raises:
         SourceError: it is broken, of another layout, or holds no run.
     """
-    found = False
+    found = set[tuple[str, ...]]()
     decoder = msgspec.json.Decoder(_Transcript)
     for file in files_of(source, folder=RUNS):
-        found = True
-        yield _run(file, decoder)
+        run = _run(file, decoder)
+        if file.parts in found:
+            raise SourceError("is a run that was read before: name one version", where=file.where)
+        found.add(file.parts)
+        yield run
     if not found:
         text = f"holds no `{RUNS}` folder; take the source distribution of agentdojo 0.1.24"
         raise SourceError(text, where=str(source))
+
+
+def _shown(parts: tuple[str | None, ...]) -> str:
+    return ", ".join(f"`{part[:80]}`" for part in parts if part is not None)
 
 
 def _run(file: SourceFile, decoder: msgspec.json.Decoder[_Transcript]) -> RecordedRun:
@@ -100,17 +107,20 @@ def _run(file: SourceFile, decoder: msgspec.json.Decoder[_Transcript]) -> Record
         said = decoder.decode(file.data)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise SourceError(f"is no run of this layout: {error}", where=file.where) from error
-    if (said.suite_name, said.user_task_id) != (suite, task):
-        text = f"says that it is `{said.suite_name}`, `{said.user_task_id}`; its name says another"
+    is_attacked = kind != NO_ATTACK
+    attack = name.removesuffix(".json")
+    named = (suite, task, attack, kind) if is_attacked else (suite, task, None, None)
+    found = (said.suite_name, said.user_task_id, said.injection_task_id, said.attack_type)
+    if found != named:
+        text = f"says that it is {_shown(found)}; its name says {_shown(named)}"
         raise SourceError(text, where=file.where)
     done = [message for message in said.messages if message.role == "tool"]
     calls = [m.tool_call for m in done if m.tool_call is not None and m.error is None]
-    is_attacked = kind != NO_ATTACK
     return RecordedRun(
         pipeline=pipeline,
         suite=suite,
         task=task,
-        attack=name.removesuffix(".json") if is_attacked else "",
+        attack=attack if is_attacked else "",
         kind=kind if is_attacked else "",
         calls=tuple(OfficeCall(call.function, call.args) for call in calls),
         failed=len(done) - len(calls),

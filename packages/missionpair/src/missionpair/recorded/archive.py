@@ -63,6 +63,7 @@ def files_of(source: Path, *, folder: str) -> Iterator[SourceFile]:
     Raises:
         SourceError: the source is broken, or holds what it must not.
     """
+    _require_unicode(source.name, str(source))
     named = _in_folder(source) if source.is_dir() else _in_archive(source)
     for parts, where, data in named:
         inner = parts[1:] if parts[:1] != (folder,) else parts
@@ -111,7 +112,10 @@ class _BoundedArchive(gzip.GzipFile):
 def _in_archive(source: Path) -> Iterator[tuple[tuple[str, ...], str, bytes]]:
     last, bounds = str(source), _SizeBounds(source)
     try:
-        with _BoundedArchive(source) as unpacked, tarfile.open(fileobj=unpacked) as archive:
+        with (
+            _BoundedArchive(source) as unpacked,
+            tarfile.open(fileobj=unpacked, mode="r:") as archive,
+        ):
             for member in archive:
                 last = f"{source}:{member.name}"
                 parts = _parts(member.name, last)
@@ -134,9 +138,18 @@ def _in_archive(source: Path) -> Iterator[tuple[tuple[str, ...], str, bytes]]:
 
 def _parts(name: str, where: str) -> tuple[str, ...]:
     path = PurePosixPath(name)
+    _require_unicode(name, where)
     if path.is_absolute() or ".." in path.parts or "\\" in name:
         raise SourceError("its name leads out of the archive", where=where)
     return path.parts
+
+
+def _require_unicode(name: str, where: str) -> None:
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        shown = where.encode(errors="backslashreplace").decode()
+        raise SourceError("its name is no UTF-8", where=shown) from None
 
 
 def _in_folder(source: Path) -> Iterator[tuple[tuple[str, ...], str, bytes]]:
@@ -145,6 +158,7 @@ def _in_folder(source: Path) -> Iterator[tuple[tuple[str, ...], str, bytes]]:
         folders.sort()
         for name in (*folders, *sorted(names)):
             path = Path(folder) / name
+            _require_unicode(name, str(path))
             found = path.lstat()
             is_file = stat.S_ISREG(found.st_mode)
             bounds.take(str(path), found.st_size if is_file else 0)

@@ -11,12 +11,14 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
+from hashlib import sha256
 from importlib.resources import files
 from itertools import chain
 from typing import Any, Literal
 
 from msgspec import Struct
 
+from authguard_r.core.encoding import b64
 from authguard_r.site.source import convert, read_yaml
 from missionpair.missions.amend import Draft
 from missionpair.missions.grants import risk
@@ -146,8 +148,16 @@ def suite_names() -> tuple[str, ...]:
 
 def read_suite(name: str) -> SuiteModel:
     """Return a suite that ships with the package."""
-    text = (files(__package__) / "offices" / f"{name}.yaml").read_text(encoding="utf-8")
-    return convert(read_yaml(text, where=name), SuiteModel, where=name)
+    return convert(read_yaml(_suite_file(name).decode(), where=name), SuiteModel, where=name)
+
+
+def suite_digest(name: str) -> str:
+    """Return the SHA-256 of a suite's file, base64url: other missions, other digest."""
+    return b64(sha256(_suite_file(name)).digest())
+
+
+def _suite_file(name: str) -> bytes:
+    return (files(__package__) / "offices" / f"{name}.yaml").read_bytes()
 
 
 def layout_of(suite: SuiteModel) -> Layout:

@@ -9,6 +9,7 @@ How-to: docs/howto/missionpair-recorded.md
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from itertools import groupby
@@ -18,12 +19,18 @@ import msgspec
 from msgspec import Struct
 
 from missionpair import defenses
-from missionpair.campaign.cluster import Cluster
+from missionpair.campaign.cluster import Cluster, ClusterError
 from missionpair.defenses import Defense
 from missionpair.pair import Pair
 from missionpair.recorded.agentdojo import RecordedRun
 from missionpair.recorded.archive import SourceError
-from missionpair.recorded.office import Office, OfficeCall, read_suite, suite_names
+from missionpair.recorded.office import (
+    Office,
+    OfficeCall,
+    read_suite,
+    suite_digest,
+    suite_names,
+)
 from missionpair.stage import Stage, Yard
 
 #: No defense: every call ran.
@@ -179,18 +186,28 @@ def _everywhere(
     parts: list[list[RecordedRun]], names: tuple[str, ...], jobs: int, ray: str
 ) -> Iterator[list[ReplayedRun]]:
     """Yield each part, replayed: here, in processes, or on a cluster."""
-    given = [(part, names) for part in parts]
+    given = [(part, names, suite_digest(part[0].suite)) for part in parts]
     if ray:
         with Cluster(ray) as cluster:
-            yield from cluster.mapped(_replayed, given)
+            yield from cluster.mapped(replayed_here, given)
     elif jobs == 1:
-        yield from (_replayed(*one) for one in given)
+        yield from (replayed_here(*one) for one in given)
     else:
         with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-            asked = [pool.submit(_replayed, *one) for one in given]
+            asked = [pool.submit(replayed_here, *one) for one in given]
             yield from (answer.result() for answer in asked)
 
 
-def _replayed(part: list[RecordedRun], names: tuple[str, ...]) -> list[ReplayedRun]:
+def replayed_here(
+    part: list[RecordedRun], names: tuple[str, ...], digest: str
+) -> list[ReplayedRun]:
+    """Replay runs of one task here.
+
+    Raises:
+        ClusterError: this machine has other missions than the one that asks.
+    """
+    if suite_digest(part[0].suite) != digest:
+        text = f"a machine has another `{part[0].suite}`: install one version everywhere"
+        raise ClusterError(text, where=os.uname().nodename)
     with Yard() as yard:
         return list(OfficeReplay(part[0].suite, yard).replay(part, names))

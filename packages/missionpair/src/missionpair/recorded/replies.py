@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
+from datetime import date as date_type
 from hashlib import sha256
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -125,9 +126,10 @@ class _ChainCall(Struct):
 
 
 class _ChainMessage(Struct):
-    type: str
+    type: str = ""
     content: Any = ""
     tool_calls: list[_ChainCall] = []
+    invalid_tool_calls: list[_ChainCall] = []
     response_metadata: dict[str, Any] = {}
     data: _ChainMessage | None = None
     kwargs: _ChainMessage | None = None
@@ -161,16 +163,25 @@ def _langchain(record: _Record) -> _ReadAnswer:
     answers = [one for one in said if one.type in {"ai", "AIMessage", "AIMessageChunk"}]
     if not answers:
         raise ValueError("expected a message of the model (`type: ai`)")
-    model = str(answers[-1].response_metadata.get("model_name", ""))
-    calls = [call for one in answers for call in one.tool_calls]
-    if not calls:
-        return _ReadAnswer(_text(answers[-1].content).encode(), model)
-    return _ReadAnswer(_plan(_step(call.name, call.args) for call in calls), model)
+    models = {str(one.response_metadata.get("model_name", "")) for one in answers} - {""}
+    if len(models) > 1:
+        raise ValueError(f"expected one model, got {', '.join(sorted(models))[:80]}")
+    model = next(iter(models), "")
+    # a call whose arguments are broken text stays one: the normalizer refuses the answer
+    calls = [call for one in answers for call in (*one.tool_calls, *one.invalid_tool_calls)]
+    if calls:
+        return _ReadAnswer(_plan(_step(call.name, call.args) for call in calls), model)
+    text = _text(answers[-1].content)
+    done = Completion(text=text, raw=text.encode())
+    said_last, refused = read_answer(done, (), model=model, where="messages")
+    return _ReadAnswer(said_last, model, refused=refused)
 
 
 def _message(raw: Raw) -> _ChainMessage:
-    """Return a message, out of the wrapping that `messages_to_dict` puts around it."""
+    """Return a message, out of the wrapping that `messages_to_dict` or `dumpd` puts around it."""
     said = msgspec.json.decode(raw, type=_ChainMessage)
+    if said.kwargs is not None:
+        return said.kwargs
     return said if said.data is None else msgspec.structs.replace(said.data, type=said.type)
 
 
@@ -248,7 +259,8 @@ def import_replies(
     )
     try:
         msgspec.convert(msgspec.to_builtins(head), RepliesHead)
-    except msgspec.ValidationError as error:
+        date_type.fromisoformat(head.date)
+    except ValueError as error:
         raise SourceError(f"has no date such as 2026-11-28: {error}", where=str(source)) from error
     lines = [msgspec.json.encode(one) + b"\n" for one in (head, *replies.values())]
     with out.open("xb") as file:
@@ -264,6 +276,8 @@ def _read(form: str, source: Path) -> Iterator[tuple[str, _Record, _ReadAnswer]]
             _require_form(record, field)
             answer = reads(record)
             answer.raw.decode()
+            day = record.date or answer.date
+            _ = day and date_type.fromisoformat(day)
             yield where, record, answer
         except _UNREADABLE as error:
             raise SourceError(f"is no reply of the form `{form}`: {error}", where=where) from error

@@ -7,7 +7,7 @@ docs/howto/missionpair-recorded.md
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable
 from typing import Any
 
@@ -27,8 +27,12 @@ TUNED = frozenset(
         "meta-llama_Llama-3-70b-chat-hf",
     }
 )
-#: Why a call ran, where no mission is asked.
-_WHY = {NONE: "no gate", "allowlist": "a step of the mission uses the tool"}
+#: Why a call ran: what was asked of it.
+_WHY = {
+    NONE: "no gate",
+    "allowlist": "a step of the mission uses the tool",
+    **dict.fromkeys(("both", "cedar", "mission"), "the mission allows it for the task"),
+}
 TUNED_GROUP, HELD_OUT = "looked at", "held out"
 
 
@@ -75,6 +79,8 @@ class Remaining(Struct, frozen=True, kw_only=True):
         tool: what was called.
         cause: why it ran, or the refusal's codes.
         runs: how many runs have it.
+        pipelines: whose runs, sorted.
+        label: of the figures.
     """
 
     what: str
@@ -86,6 +92,8 @@ class Remaining(Struct, frozen=True, kw_only=True):
     tool: str
     cause: str
     runs: int
+    pipelines: tuple[str, ...]
+    label: str = LABEL
 
 
 class Replay:
@@ -93,7 +101,7 @@ class Replay:
 
     def __init__(self) -> None:
         self._rows: dict[tuple[str, str], OutcomeRow] = {}
-        self._remaining: Counter[tuple[str, ...]] = Counter()
+        self._remaining: defaultdict[tuple[str, ...], Counter[str]] = defaultdict(Counter)
         self.runs = 0
 
     def add(self, one: ReplayedRun) -> None:
@@ -101,7 +109,8 @@ class Replay:
         group = TUNED_GROUP if one.run.pipeline in TUNED else HELD_OUT
         key = (group, one.defense)
         self._rows.setdefault(key, OutcomeRow(group=group, defense=one.defense)).add(one)
-        self._remaining.update({(group, *found) for found in _remaining(one)})
+        for found in set(_remaining(one)):
+            self._remaining[group, *found][one.run.pipeline] += 1
         self.runs += 1
 
     @property
@@ -112,7 +121,7 @@ class Replay:
     @property
     def remaining(self) -> list[Remaining]:
         """Every kind of call that leaked or was refused, the most frequent first."""
-        found = sorted(self._remaining.items(), key=lambda item: (-item[1], item[0]))
+        found = sorted(self._remaining.items(), key=lambda item: (-item[1].total(), item[0]))
         return [
             Remaining(
                 group=group,
@@ -123,7 +132,8 @@ class Replay:
                 attack=attack,
                 tool=tool,
                 cause=cause,
-                runs=runs,
+                runs=runs.total(),
+                pipelines=tuple(sorted(runs)),
             )
             for (group, defense, what, suite, task, attack, tool, cause), runs in found
         ]
@@ -136,7 +146,7 @@ def _remaining(one: ReplayedRun) -> Iterable[tuple[str, ...]]:
     for number, call in enumerate(run.calls):
         if run.landed and one.ran[number] and one.unauthorized[number]:
             what = "leak that changes" if one.changes[number] else "leak"
-            why = _WHY.get(one.defense, "the mission allows it for the task")
+            why = _WHY.get(one.defense, f"`{one.defense}` lets it through")
             yield (one.defense, what, *named, call.tool, why)
         elif not run.kind and run.useful and not one.ran[number]:
             yield (one.defense, "refusal", *named, call.tool, ", ".join(one.reasons[number]))
@@ -144,7 +154,13 @@ def _remaining(one: ReplayedRun) -> Iterable[tuple[str, ...]]:
 
 def lines(rows: list[OutcomeRow]) -> list[str]:
     """Return the table for people."""
-    head = ("runs", "defense", "attack's call ran", "changing call ran", "task refused")
+    head = (
+        "runs",
+        "defense",
+        "attack's call ran",
+        "state-changing one ran",
+        "benign run with a refused call",
+    )
     body = [
         (row.group, row.defense, _told(row.leaks), _told(row.changes), _told(row.refusals))
         for row in rows
