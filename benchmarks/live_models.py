@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -166,6 +167,7 @@ def main() -> None:
     parser.add_argument("--only", choices=(*CAMPAIGNS, "harness"), action="append")
     parser.add_argument("--every", type=int, default=1, help="take every so many-th pair")
     asked = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # the server ends with it
     asked.folder.mkdir(parents=True, exist_ok=True)
     model, programs = MODELS[asked.model], environment(asked.folder)
     part = f"{asked.model}-" + (f"every-{asked.every}-" if asked.every > 1 else "")
