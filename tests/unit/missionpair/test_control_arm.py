@@ -16,7 +16,7 @@ from fixtures.suites import loaded
 from missionpair import attackers, defenses, planners, registry
 from missionpair.briefing import Briefing, PlannerError, Reply
 from missionpair.campaign.arms import neutral_inputs
-from missionpair.campaign.setting import Who
+from missionpair.campaign.setting import Participants
 from missionpair.campaign.showing import briefing_of
 from missionpair.measures import MeasuredCampaign, Paired
 from missionpair.mutation import slice_of
@@ -167,7 +167,7 @@ def test_what_learns_from_verdicts_learns_in_each_arm_anew(suite: Suite, yard: Y
         Learns(),
         pair,
         rounds=5,
-        fresh=lambda: Who(Learns(), registry.make(attackers, "fixed")),
+        fresh=lambda: Participants(Learns(), registry.make(attackers, "fixed")),
     )
     assert [len(trial.rounds) for trial in trials] == [3, 3, 3]
     assert all(trial.complied for trial in trials)
