@@ -63,7 +63,7 @@ MODELS = {
         "a5fd3b62230aa5ec60212297dc9d20eaa70578ac519e00d93a17e44c087a6818",
     ),
 }
-#: Without `update`: nobody tells a planner of a mission's new version.
+#: `update` is left out, because a planner is not told that its mission has a new version.
 ALL_KINDS = ("attack", "control", "neutral", "benign")
 #: What is measured, by name of the log: access, attacker, kinds of trial, defenses. An attacker
 #: that learns writes other texts under each defense: each costs as much as the first.

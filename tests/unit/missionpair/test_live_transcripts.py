@@ -122,6 +122,12 @@ def figures(name: str) -> str:
     return f"| `{name}` | " + " | ".join(cells) + " |"
 
 
+def unauthorized(kind: str) -> int:
+    """Return in how many trials without a gate the model did something unauthorized."""
+    trials = read_log(LIVE / "qwen-fixed.jsonl.gz")[1]
+    return sum((one.kind, one.defense) == (kind, "none") and one.unauthorized > 0 for one in trials)
+
+
 def category_rows() -> list[str]:
     """Return the rows of the page by category: ours, and what the paper has of its planners."""
     names = ("qwen-fixed", "qwen-adaptive")
@@ -154,6 +160,9 @@ def test_the_page_has_the_figures_of_every_transcript_and_of_nothing_else() -> N
         assert figures(name) in page, figures(name)
     for row in category_rows():
         assert row in page, row
+    attack, control, neutral = (unauthorized(kind) for kind in ("attack", "control", "neutral"))
+    said = f"ran in {attack} of 60 attacks, but also in {control} of 60 runs without any text"
+    assert f"{said} and in {neutral} with a neutral one" in " ".join(page.split())
 
 
 @pytest.mark.parametrize("name", ONE_TURN)

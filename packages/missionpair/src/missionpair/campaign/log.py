@@ -267,7 +267,7 @@ def _whole_log(path: Path, stamp: object) -> WholeLog:  # noqa: ARG001 - another
 
 
 def file_stamp(path: Path) -> object:
-    """Return what changes when a file is written anew; None of one that is not there."""
+    """Return a value that differs after the file changes; None if there is no file."""
     try:
         found = path.stat()
     except OSError:

@@ -51,9 +51,9 @@ def is_intended(stage: Stage, raw: bytes, checked: Checked) -> bool:
 
 
 def calls_in(text: str) -> tuple[_Call, ...]:
-    """Return every call that a text holds, in its order: in JSON, whatever stands around it.
+    """Return every call that a text holds as JSON, in order. Other words are ignored.
 
-    Of several whole plans the last one counts alone: a model that corrects itself means that one.
+    If the text has several whole plans, only the last one counts: a model may correct itself.
     """
     return tuple(_calls(text, _DEPTH))
 

@@ -204,7 +204,7 @@ def replayed_here(
     """Replay runs of one task here.
 
     Raises:
-        ClusterError: this machine has other missions than the one that asks.
+        ClusterError: the missions on this machine are not those of the machine that asks.
     """
     if suite_digest(part[0].suite) != digest:
         text = f"a machine has another `{part[0].suite}`: install one version everywhere"

@@ -225,8 +225,8 @@ def import_replies(
         Whose the replies are, and how many.
 
     Raises:
-        SourceError: a line is no reply of this form, answers what another one answered, or is of
-            another model; nobody says which model answered, and when; or the log says other dates.
+        SourceError: a line is no reply of this form, repeats an answer, or is of another model. Or
+            the model or the date is missing, or `date` is none of the log's dates.
         FileExistsError: there is such a file.
     """
     models, dates, replies = _said(model), set[str](), dict[tuple[str, str, int], PairReply]()
