@@ -6,6 +6,7 @@ Source: docs/spec/campaign-log.md
 
 from __future__ import annotations
 
+import gzip
 import os
 import subprocess
 import sys
@@ -305,3 +306,18 @@ def test_a_log_that_a_forked_process_forgot_is_free_when_its_writer_is_gone(path
     log._file = copy
     log.forget()
     LogWriter(path, CAMPAIGN).close()
+
+
+def test_a_packed_log_is_read_and_never_written(path: Path) -> None:
+    trials = written(path)
+    packed = path.with_name("log.jsonl.gz")
+    packed.write_bytes(gzip.compress(path.read_bytes()))
+    assert list(read_log(packed)[1]) == trials
+    for data in (packed.read_bytes()[:-20], b"no gzip"):
+        packed.write_bytes(data)
+        with pytest.raises(LogError, match="no whole gzip file") as caught:
+            list(read_log(packed)[1])
+        assert not caught.value.is_here
+    with pytest.raises(LogError, match=r"name a file without `\.gz`"):
+        LogWriter(path.with_name("other.jsonl.gz"), CAMPAIGN)
+    assert not path.with_name("other.jsonl.gz").exists()

@@ -85,7 +85,7 @@ class LogWriter:
 
     def __init__(self, path: Path, campaign: Campaign) -> None:
         if path.suffix == ".gz":
-            raise LogError("is packed: a log is written as plain lines", where=str(path))
+            raise LogError("a log is written unpacked: name a file without `.gz`", where=str(path))
         self._path = path
         #: The first line; of a log that goes on, the one that is there.
         self.campaign = campaign
