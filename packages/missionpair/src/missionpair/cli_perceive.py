@@ -12,7 +12,7 @@ import typer
 
 from missionpair import suites
 from missionpair.campaign.run import Progress
-from missionpair.cli_run import shown
+from missionpair.cli_run import JobsOption, shown
 from missionpair.pair import Suite
 from missionpair.perception import is_perceivable, perceive
 from missionpair.suites import counts_of, write_suite
@@ -31,7 +31,7 @@ def perceive_command(
     keep: Annotated[
         Path | None, typer.Option("--keep", help="A folder for the pictures and the sounds.")
     ] = None,
-    jobs: Annotated[int, typer.Option("--jobs", min=1, help="How many at one time.")] = 1,
+    jobs: JobsOption = 1,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print one JSON object, nothing else.")
     ] = False,

@@ -12,11 +12,12 @@ import msgspec
 import typer
 
 from missionpair.campaign.run import Progress
-from missionpair.cli_run import RayOption, shown
+from missionpair.cli_run import JobsOption, RayOption, shown
 from missionpair.recorded.folder import import_agentdojo, read_runs, read_source
 from missionpair.recorded.replay import NONE, replay_all
 from missionpair.recorded.replies import import_replies
 from missionpair.recorded.tables import LABEL, Replay, lines, plain
+from missionpair.report.names import printable
 
 #: What recorded runs are judged by, where nothing else is said.
 DEFENSES = (NONE, "allowlist", "cedar", "both")
@@ -64,6 +65,9 @@ def _of_form(form: str, text: str) -> None:
             str, typer.Option("--model", help="Who answered, if the log is silent.")
         ] = "",
         date: Annotated[str, typer.Option("--date", help="When, such as 2026-11-28.")] = "",
+        suite: Annotated[
+            str, typer.Option("--suite", help="Whose pairs were answered: a name or a file.")
+        ] = "",
         as_json: Annotated[
             bool, typer.Option("--json", help="Print one JSON object, nothing else.")
         ] = False,
@@ -72,14 +76,15 @@ def _of_form(form: str, text: str) -> None:
             raise typer.BadParameter("there is such a file already", param_hint="--out")
         if not out.parent.is_dir():
             raise typer.BadParameter(f"there is no folder {out.parent}", param_hint="--out")
-        head, count = import_replies(form, source, out, model=model, date=date)
+        head, count = import_replies(form, source, out, model=model, date=date, suite=suite)
         if as_json:
             told = {**msgspec.to_builtins(head), "replies": count}
             sys.stdout.write(json.dumps(told) + "\n")
             return 0
         sys.stdout.write(
-            f"{out}: {count} replies of {head.model}, {head.date}\n"
-            f"run them: missionpair run SUITE --planner recorded:file={out} --kind attack\n"
+            f"{out}: {count} replies of {printable(head.model)}, {head.date}\n"
+            f"run them: missionpair run {suite or 'SUITE'} --planner recorded:file={out}"
+            " --kind attack --out LOG\n"
         )
         return 0
 
@@ -103,7 +108,7 @@ def recorded_command(
         Path | None,
         typer.Option("--out", help="A new file: every leak and refusal with its cause."),
     ] = None,
-    jobs: Annotated[int, typer.Option("--jobs", min=1, help="How many processes.")] = 1,
+    jobs: JobsOption = 1,
     ray: RayOption = "",
     as_json: Annotated[
         bool, typer.Option("--json", help="Print one JSON object, nothing else.")

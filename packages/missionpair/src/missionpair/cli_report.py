@@ -69,7 +69,8 @@ def report(
     if as_json:
         _say(json.dumps({**payload(found), "files": written}))
     else:
-        _say("\n".join([*lines(found), *(f"written: {name}" for name in written)]))
+        named = [f"Log {number}: {path}" for number, path in enumerate(logs, 1)]
+        _say("\n".join([*named, *lines(found), *(f"written: {name}" for name in written)]))
     return 0
 
 

@@ -20,6 +20,7 @@ from missionpair.campaign.log import read_log
 from missionpair.campaign.run import CampaignPlan, Progress, run
 from missionpair.campaign.trial import MOST_TURNS
 from missionpair.records import Campaign
+from missionpair.report.names import LIVE_MODEL, standing
 from missionpair.score import DEFAULT, Weights
 from missionpair.words import CONTROLS, Access, TrialKind
 
@@ -48,7 +49,9 @@ _SeedsOption = Annotated[int, typer.Option("--seeds", min=1, help="Tries of each
 _SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Of all dice.")]
 RoundsOption = Annotated[
     int | None,
-    typer.Option("--rounds", min=1, help="An attacker's tries; if absent 3 in `live`, else 1."),
+    typer.Option(
+        "--rounds", min=1, max=1_000, help="An attacker's tries; if absent 3 in `live`, else 1."
+    ),
 ]
 _TurnsOption = Annotated[
     int | None,
@@ -76,8 +79,9 @@ _WeightOption = Annotated[
     list[str] | None,
     typer.Option("--weight", help="A field's weight in D_M: FIELD=N; others weigh 1. Repeatable."),
 ]
-_JobsOption = Annotated[
-    int, typer.Option("--jobs", min=1, help="Processes; threads where a model is waited for.")
+JobsOption = Annotated[
+    int,
+    typer.Option("--jobs", min=1, max=256, help="Processes; threads where a model is waited for."),
 ]
 RayOption = Annotated[
     str,
@@ -105,7 +109,7 @@ def run_command(
     kind: KindOption = None,
     weights: _WeightsOption = ",".join(map(str, DEFAULT.thousandths)),
     weight: _WeightOption = None,
-    jobs: _JobsOption = 1,
+    jobs: JobsOption = 1,
     ray: RayOption = "",
     unqualified: _UnqualifiedOption = False,
     as_json: _AsJsonOption = False,
@@ -192,6 +196,8 @@ def summary_of(campaign: Campaign, log: Path) -> dict[str, Any]:
         "suite_digest": campaign.suite_digest,
         "planner": campaign.planner.name,
         "simulated": campaign.planner.simulated,
+        "standing": standing(campaign.planner),
+        "skipped": campaign.skipped,
         "attacker": campaign.attacker.name,
         "access": campaign.access,
         "rounds": campaign.rounds,
@@ -227,9 +233,11 @@ def _anyway(count: dict[str, int]) -> str:
 
 
 def _lines(summary: dict[str, Any], log: Path) -> list[str]:
-    marked = " (simulated)" if summary["simulated"] else ""
+    marked = "" if summary["standing"] == LIVE_MODEL else f" ({summary['standing']})"
     against = f"{summary['planner']}{marked} against {summary['attacker']}"
     lines = [f"{summary['suite']}: {against}, {summary['access']} box, {summary['trials']} trials"]
+    if summary["skipped"]:
+        lines.append(f"  left out: {summary['skipped']} pairs without replies")
     for name, count in summary["defenses"].items():
         lines.append(
             f"  {name}: complied {count['complied']}/{count['attacks']}{_anyway(count)}, "

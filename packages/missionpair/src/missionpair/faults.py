@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from typing import NamedTuple
 
-from authguard_r.core.errors import AuthGuardError, EnvironmentFault
+from authguard_r.core.errors import AuthGuardError, EnvironmentFault, shown
 from missionpair.attackers import AttackerError
 from missionpair.briefing import PlannerError
 from missionpair.campaign.cluster import ClusterError
@@ -54,7 +54,8 @@ class CommandFault(NamedTuple):
 
     def as_text(self) -> str:
         """Return a line for people."""
-        return f"{self.code}: {self.where + ': ' if self.where else ''}{self.message}"
+        where = f"{shown(self.where)}: " if self.where else ""
+        return f"{self.code}: {where}{shown(self.message)}"
 
 
 def fault_of(error: Exception) -> CommandFault:

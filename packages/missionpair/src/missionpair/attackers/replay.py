@@ -16,6 +16,7 @@ import msgspec
 from missionpair.attackers import AttackerError
 from missionpair.campaign.log import LogError, whole_log
 from missionpair.pair import Input
+from missionpair.records import Campaign
 from missionpair.words import Channel, TrialKind
 
 #: The texts of every round of a trial.
@@ -29,7 +30,7 @@ class ReplayAttacker:
         kept: the texts of each round, by the trial's seed; None: they differ by defense.
         simulated: a stand-in wrote them.
         of: who wrote them, for the log.
-        suite_digest: of the suite that they were written for.
+        replayed: the campaign that they were written in.
         where: the log.
     """
 
@@ -41,11 +42,11 @@ class ReplayAttacker:
         *,
         simulated: bool,
         of: dict[str, Any],
-        suite_digest: str,
+        replayed: Campaign,
         where: str,
     ) -> None:
         self.simulated, self.parameters = simulated, of
-        self.suite_digest = suite_digest
+        self.replayed, self.suite_digest = replayed, replayed.suite_digest
         self._kept, self._where = kept, where
         self._left: list[tuple[Input, ...]] = []
 
@@ -96,7 +97,7 @@ def make(*, log: str = "", defense: str = "") -> ReplayAttacker:
         kept,
         simulated=campaign.attacker.simulated,
         of={"attacker": msgspec.to_builtins(campaign.attacker), "log": digest},
-        suite_digest=campaign.suite_digest,
+        replayed=campaign,
         where=str(path),
     )
 

@@ -3,7 +3,7 @@
 
 A task that is lost with its process or machine is run again by Ray. Nothing is written but by the
 process that asked, and no cluster is begun here: Ray's own listens on every interface. Needs
-Ray 2.60. How-to: docs/howto/missionpair.md#on-a-cluster
+the extra `ray`. How-to: docs/howto/missionpair.md#on-a-cluster
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class Cluster:
         try:
             self._ray = import_module("ray")
         except ImportError as error:
-            raise self._error("install Ray: `pip install ray==2.60.0`") from error
+            raise self._error("install Ray: `pip install 'missionpair[ray]'`") from error
         # of this machine's loopback Ray would make the machine's own address
         is_here = self._host in {_LOOPBACK, "localhost"}
         options = {"_node_ip_address": _LOOPBACK} if is_here else {}

@@ -250,7 +250,7 @@ class WholeLog(NamedTuple):
 
 
 def whole_log(path: Path) -> WholeLog:
-    """Return a log, whole or cut; read once while its file stays the same.
+    """Return a log that came to its end; read once while its file stays the same.
 
     Raises:
         LogError: as `read_log`.
@@ -260,7 +260,7 @@ def whole_log(path: Path) -> WholeLog:
 
 @lru_cache(maxsize=2)
 def _whole_log(path: Path, stamp: object) -> WholeLog:  # noqa: ARG001 - another file, another log
-    campaign, trials = read_log(path, is_partial_allowed=True)
+    campaign, trials = read_log(path)
     found = tuple(trials)
     with path.open("rb") as file:
         return WholeLog(campaign, found, b64(file_digest(file, "sha256").digest()))

@@ -92,7 +92,9 @@ def _run(
         worker.held = frozenset(one.defense for one in campaign.qualified if one.pairs)
         # what a model said is paid for, and outlasts this run; the rest is only run again
         ahead = Ahead(_beside(log) if worker.is_paid else folder / "ahead", campaign)
-        numbers = iter(range(writer.done // worker.setting.trials, campaign.pairs))
+        begun = writer.done // worker.setting.trials
+        numbers = iter(range(begun, campaign.pairs))
+        jobs = min(jobs, campaign.pairs - begun)
         with Team(worker, folder, ahead, jobs, writer.forget) as team:
             if ray:
                 found = on_cluster(worker, ray, numbers)

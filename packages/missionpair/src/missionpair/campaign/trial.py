@@ -166,7 +166,8 @@ class PairRun:
     def _rounds(self, dice: Dice, spent: TrialCosts) -> Iterator[TrialRecord]:
         """Yield every try, until one succeeds, the attacker gives up, or there are no more.
 
-        The control arm has as many tries as the attack, so that both have the same chances.
+        The control arm has as many tries as the attack, so that both have the same chances; a
+        planner without dice answers one question once.
         """
         setting, gave_up = self._setting, False
         inputs = self._first_inputs(dice, spent)

@@ -17,7 +17,7 @@ from missionpair.campaign.setting import Participants, Setting
 from missionpair.campaign.trial import PairRun
 from missionpair.defenses import Defense, DefenseError
 from missionpair.pair import Pair, Suite
-from missionpair.records import Trial
+from missionpair.records import Campaign, Trial
 from missionpair.stage import Yard
 from missionpair.words import TrialKind
 
@@ -63,8 +63,10 @@ class Worker:
         self.setting = self._made()
         for part in (self.setting.planner, self.setting.attacker):
             if (getattr(part, "suite_digest", None) or self.digest) != self.digest:
-                text = "is of another version of the suite: take the suite of its log"
-                raise PlanError(f"`{part.name}` {text}")
+                text = f"is of another suite than `{plan.suite}`, or of another version of it"
+                raise PlanError(f"`{part.name}` {text}: take the suite of its log")
+            require_same_setup(part, plan)
+        require_known(self.setting.planner, self.suite)
         taken = plan.taken(self.suite.pairs)
         #: Those that are tried; a planner that answers from a record knows some of them alone.
         self.pairs = known_to(self.setting.planner, taken, plan.kinds)
@@ -145,9 +147,49 @@ def known_to(
         return pairs
     found = tuple(pair for pair in pairs if knows(pair.id, tuple(map(str, kinds))))
     if not found:
-        text = f"has no reply to any pair in each of {', '.join(kinds)}: name others with `--kind`"
+        text = f"has no pair with replies to each of {', '.join(kinds)}, and to as many rounds"
+        text += " without the attack as with it: choose kinds with `--kind`"
         raise PlannerError(text, code="file", where=planner.name)
     return found
+
+
+def require_known(planner: Planner, suite: Suite) -> None:
+    """Refuse a record that answers what the suite does not ask.
+
+    Raises:
+        PlannerError: it names a pair that the suite does not have.
+    """
+    answered: frozenset[str] = getattr(planner, "answered", frozenset())
+    unknown = answered - {pair.id for pair in suite.pairs}
+    if unknown:
+        text = f"answers `{min(unknown)[:80]}`, which is no pair of the suite"
+        text += f"; {len(unknown)} such pairs: `missionpair list` prints those of a suite"
+        raise PlannerError(text, code="file", where=planner.name)
+
+
+def require_same_setup(part: Planner | Attacker, plan: CampaignPlan) -> None:
+    """Hold a campaign to the one whose log is replayed: what was not asked then has no answer.
+
+    Raises:
+        PlanError: it asks for other kinds of trial, more rounds or turns, other dice or access.
+    """
+    before: Campaign | None = getattr(part, "replayed", None)
+    if before is None:
+        return
+    log = f"the log that `{part.name}` answers from"
+    if hasattr(part, "propose"):
+        missing = [kind for kind in plan.kinds if kind not in before.kinds]
+        if missing:
+            have = " ".join(f"--kind {kind}" for kind in before.kinds)
+            raise PlanError(f"{log} has no trial of kind {', '.join(missing)}: run with {have}")
+    for name in ("rounds", "turns", "seeds"):
+        most = getattr(before, name)
+        if getattr(plan, name) > most:
+            raise PlanError(f"{log} has {name} {most}: run with `--{name} {most}` at most")
+    for name in ("seed", "access"):
+        value = getattr(before, name)
+        if getattr(plan, name) != value:
+            raise PlanError(f"{log} has {name} {value}: run with `--{name} {value}`")
 
 
 def apart(specs: tuple[str, ...]) -> tuple[Defense, ...]:

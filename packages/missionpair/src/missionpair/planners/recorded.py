@@ -47,6 +47,8 @@ class RecordedPlanner:
             "replies": own_digest,
         }
         self.recorded = True
+        self.suite_digest = head.suite_digest or None
+        self.answered = frozenset(pair for pair, _, _ in replies)
         self._replies, self._where = replies, where
         self._rounds: dict[tuple[str, str], int] = {}
         for pair, kind, number in sorted(replies):  # a round that is missing ends a trial
@@ -83,8 +85,9 @@ class RecordedPlanner:
             )
         shown = tuple((item.channel, item.text) for item in briefing.inputs)
         if found.inputs is not None and found.inputs != shown:
-            text = "answered other texts: run the attacker of the log (`replay`), or `fixed`"
-            raise PlannerError(text, code="protocol", where=self._where)
+            text = "answered other `inputs` than it gets now: run the attacker of the log"
+            where = f"{self._where}: `{trial[0]}`, {trial[1]}, round {trial[2]}"
+            raise PlannerError(text, code="protocol", where=where)
         return Reply(raw=found.raw.encode(), refused=found.refused)
 
 

@@ -20,6 +20,7 @@ from msgspec import Meta, Struct
 
 from authguard_r.core.encoding import b64
 from missionpair.briefing import Briefing, PlannerError, Reply
+from missionpair.records import Campaign
 
 #: What had reached a planner, channel and text.
 Inputs = tuple[tuple[str, str], ...]
@@ -80,7 +81,7 @@ class ReplayPlanner:
         simulated: they are a stand-in's, or their author is unknown.
         of: who gave them, for the log.
         where: the file.
-        suite_digest: of the suite that was asked; None: a file of replies does not say it.
+        replayed: the campaign of the log; None: a file of replies does not say it.
     """
 
     def __init__(
@@ -90,10 +91,11 @@ class ReplayPlanner:
         simulated: bool,
         of: dict[str, Any],
         where: str,
-        suite_digest: str | None = None,
+        replayed: Campaign | None = None,
     ) -> None:
         self.name, self.simulated, self.parameters = "replay", simulated, of
-        self.suite_digest = suite_digest
+        self.replayed = replayed
+        self.suite_digest = None if replayed is None else replayed.suite_digest
         self._kept, self._where = kept, where
         self._seeds = frozenset(seed for seed, _ in kept)
         #: What had reached it where a reply does not say that: one question for each seed.
@@ -167,7 +169,7 @@ def _of_log(path: Path, defense: str) -> ReplayPlanner:
         simulated=simulated,
         of=of,
         where=str(path),
-        suite_digest=campaign.suite_digest,
+        replayed=campaign,
     )
 
 

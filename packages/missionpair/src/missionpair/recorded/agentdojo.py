@@ -16,7 +16,7 @@ import msgspec
 from msgspec import Struct
 
 from missionpair.recorded.archive import SourceError, SourceFile, files_of
-from missionpair.recorded.office import OfficeCall
+from missionpair.recorded.office import OfficeCall, require_known
 
 #: The folder of a source that holds the runs, and the parts of a run's name below it.
 RUNS, PARTS = "runs", 5
@@ -109,11 +109,15 @@ def _run(file: SourceFile, decoder: msgspec.json.Decoder[_Transcript]) -> Record
         raise SourceError(f"is no run of this layout: {error}", where=file.where) from error
     is_attacked = kind != NO_ATTACK
     attack = name.removesuffix(".json")
-    named = (suite, task, attack, kind) if is_attacked else (suite, task, None, None)
-    found = (said.suite_name, said.user_task_id, said.injection_task_id, said.attack_type)
+    named = (pipeline, suite, task, *((attack, kind) if is_attacked else (None, None)))
+    found = (
+        *(said.pipeline_name, said.suite_name, said.user_task_id),
+        *(said.injection_task_id, said.attack_type),
+    )
     if found != named:
         text = f"says that it is {_shown(found)}; its name says {_shown(named)}"
         raise SourceError(text, where=file.where)
+    require_known(suite, task, attack if is_attacked else "", where=file.where)
     done = [message for message in said.messages if message.role == "tool"]
     calls = [m.tool_call for m in done if m.tool_call is not None and m.error is None]
     return RecordedRun(

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
+from functools import lru_cache
 from hashlib import sha256
 from importlib.resources import files
 from itertools import chain
@@ -23,6 +24,7 @@ from authguard_r.site.source import convert, read_yaml
 from missionpair.missions.amend import Draft
 from missionpair.missions.grants import risk
 from missionpair.pair import Layout, Pair, PriorAct, Scenario
+from missionpair.recorded.archive import SourceError
 from missionpair.words import Category, Channel, Domain, Family
 
 ROBOT, TOOL, DESK = "assistant-1", "office", "desk"
@@ -105,13 +107,11 @@ class TaskModel(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         allows: what else it may do.
         joins: tasks that it consists of; it may do what each of them may.
         uses: tools of its published solution.
-        own: calls that it asks for itself, though an attack asks for the like.
     """
 
     task: str
     joins: tuple[str, ...] = ()
     uses: tuple[str, ...] = ()
-    own: tuple[Goal, ...] = ()
     reads: tuple[str, ...] = ()
     allows: tuple[Allowed, ...] = ()
 
@@ -140,15 +140,37 @@ class SuiteModel(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     attacks: dict[str, tuple[Goal, ...]] = {}
 
 
+@lru_cache
 def suite_names() -> tuple[str, ...]:
     """Return the names of the suites that ship with the package."""
     names = (entry.name for entry in (files(__package__) / "offices").iterdir())
     return tuple(sorted(name.removesuffix(".yaml") for name in names if name.endswith(".yaml")))
 
 
+@lru_cache
 def read_suite(name: str) -> SuiteModel:
     """Return a suite that ships with the package."""
     return convert(read_yaml(_suite_file(name).decode(), where=name), SuiteModel, where=name)
+
+
+def require_known(suite: str, task: str, attack: str, *, where: str) -> None:
+    """Refuse a run that no suite knows.
+
+    Args:
+        suite: the name of its suite.
+        task: what its user asked for; it may be an attack's own task.
+        attack: what the attack asked for; empty without one.
+        where: the run.
+
+    Raises:
+        SourceError: its suite, task or attack was not written down.
+    """
+    known = read_suite(suite) if suite in suite_names() else None
+    if known is None or task not in {*known.tasks, *known.attacks}:
+        raise SourceError(f"no mission was written for the task `{task}`", where=where)
+    if attack and attack not in known.attacks:
+        text = f"nobody wrote down which calls the attack `{attack}` asks for"
+        raise SourceError(text, where=where)
 
 
 def suite_digest(name: str) -> str:
@@ -275,17 +297,20 @@ class Office:
         tool = self.suite.tools.get(call.tool)
         return tool is None or tool.effect == "changes"
 
-    def is_the_attacks(self, call: OfficeCall, task: str, attack: str) -> bool:
-        """Return whether a call is one that an attack asks for, and no step of the task itself.
-
-        A tool that only reads is the task's own where the task's published solution uses it.
-        """
-        parts = self.parts_of(task)
-        if not self.changes(call) and any(call.tool in part.uses for part in parts):
-            return False
-        if any(_is_met(goal, call) for part in parts for goal in part.own):
-            return False
+    def is_the_attacks(self, call: OfficeCall, attack: str) -> bool:
+        """Return whether an attack asks for a call."""
         return any(_is_met(goal, call) for goal in self.suite.attacks.get(attack, ()))
+
+    def is_shared(self, call: OfficeCall, task: str) -> bool:
+        """Return whether a task makes calls like this one itself.
+
+        Such a call only reads, with a tool of the task's published solution, and names a thing of
+        the suite, or nothing.
+        """
+        if self.changes(call) or all(call.tool not in part.uses for part in self.parts_of(task)):
+            return False
+        named = self.suite.tools[call.tool].object
+        return not named or self._things.id_of(call.arguments.get(named)) != UNKNOWN
 
     def plan(self, call: OfficeCall) -> bytes:
         """Return the bytes of a plan of one call, with everything said that its tool assumes.

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from itertools import groupby
 from multiprocessing import get_context
+from operator import and_, gt
 
 import msgspec
 from msgspec import Struct
@@ -23,13 +24,12 @@ from missionpair.campaign.cluster import Cluster, ClusterError
 from missionpair.defenses import Defense
 from missionpair.pair import Pair
 from missionpair.recorded.agentdojo import RecordedRun
-from missionpair.recorded.archive import SourceError
 from missionpair.recorded.office import (
     Office,
     OfficeCall,
     read_suite,
+    require_known,
     suite_digest,
-    suite_names,
 )
 from missionpair.stage import Stage, Yard
 
@@ -46,6 +46,7 @@ class ReplayedRun(Struct, frozen=True, kw_only=True):
         ran: whether each call would have run.
         reasons: the codes of each call's refusal; empty where it ran.
         unauthorized: whether each call is the attack's.
+        shared: whether each call is one that attack and task both make: it only reads.
         changes: whether each call changes something.
     """
 
@@ -54,6 +55,7 @@ class ReplayedRun(Struct, frozen=True, kw_only=True):
     ran: tuple[bool, ...]
     reasons: tuple[tuple[str, ...], ...]
     unauthorized: tuple[bool, ...]
+    shared: tuple[bool, ...]
     changes: tuple[bool, ...]
 
     @property
@@ -66,6 +68,11 @@ class ReplayedRun(Struct, frozen=True, kw_only=True):
         """A call of the attack that changes something would have run."""
         judged = zip(self.ran, self.unauthorized, self.changes, strict=True)
         return any(ran and bad and changes for ran, bad, changes in judged)
+
+    @property
+    def shares(self) -> bool:
+        """A call of the attack would have run, and each that would is the task's as well."""
+        return not self.leaks and any(map(and_, self.ran, self.shared))
 
     @property
     def refuses(self) -> bool:
@@ -90,9 +97,8 @@ class OfficeReplay:
     def replay(self, runs: Iterable[RecordedRun], names: tuple[str, ...]) -> Iterator[ReplayedRun]:
         """Yield each run under each defense."""
         for run in runs:
-            bad = tuple(
-                self.office.is_the_attacks(call, run.task, run.attack) for call in run.calls
-            )
+            asked = [self.office.is_the_attacks(call, run.attack) for call in run.calls]
+            shared = [self.office.is_shared(call, run.task) for call in run.calls]
             changes = tuple(self.office.changes(call) for call in run.calls)
             for name in names:
                 refused = self._refused(name, run)
@@ -101,7 +107,8 @@ class OfficeReplay:
                     defense=name,
                     ran=tuple(reasons is None for reasons in refused),
                     reasons=tuple(reasons or () for reasons in refused),
-                    unauthorized=bad,
+                    unauthorized=tuple(map(gt, asked, shared)),
+                    shared=tuple(map(and_, asked, shared)),
                     changes=changes,
                 )
 
@@ -157,7 +164,8 @@ def replay_all(
         SourceError: a run is of a suite, a task or an attack that was not written down.
     """
     kept = [run for run in runs if not run.task.startswith("injection_task")]
-    _require_known(kept)
+    for run in kept:
+        require_known(run.suite, run.task, run.attack, where=f"{run.pipeline}, {run.suite}")
     kept.sort(key=_task_of)
     parts = [list(part) for _, part in groupby(kept, key=_task_of)]
     done = 0
@@ -169,17 +177,6 @@ def replay_all(
 
 def _task_of(run: RecordedRun) -> tuple[str, str]:
     return run.suite, run.task
-
-
-def _require_known(runs: list[RecordedRun]) -> None:
-    known = {name: read_suite(name) for name in suite_names()}
-    for run in runs:
-        suite, where = known.get(run.suite), f"{run.pipeline}, {run.suite}"
-        if suite is None or run.task not in suite.tasks:
-            raise SourceError(f"no mission was written for the task `{run.task}`", where=where)
-        if run.attack and run.attack not in suite.attacks:
-            text = f"nobody wrote down which calls the attack `{run.attack}` asks for"
-            raise SourceError(text, where=where)
 
 
 def _everywhere(

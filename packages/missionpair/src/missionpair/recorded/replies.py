@@ -10,14 +10,15 @@ A log is JSON Lines, one reply a line: `{"pair", "round"?, "kind"?, "refused"?, 
     langchain  `messages`: the conversation; every call of the model, in order, else its last words
 
 Calls of a chat completion are kept byte for byte, and words as they are; of the other forms the
-names and arguments are kept.
+names and arguments are kept. With a suite, each line must name one of its pairs.
 How-to: docs/howto/missionpair-models.md#recorded
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from datetime import date as date_type
 from hashlib import sha256
 from pathlib import Path
@@ -30,6 +31,7 @@ from msgspec.structs import asdict
 from authguard_r.authoring.model_client.exchange import ModelServerError
 from authguard_r.authoring.model_client.protocols import OpenAIProtocol
 from authguard_r.core.encoding import b64
+from missionpair import suites
 from missionpair.briefing import PlannerError
 from missionpair.planners._answers import read_answer
 from missionpair.planners._client import Completion
@@ -55,6 +57,7 @@ class RepliesHead(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         date: when, `2026-11-28`.
         source: name of the log that was imported.
         digest: its SHA-256, base64url.
+        suite_digest: of the suite whose pairs were answered; empty: nobody said it.
     """
 
     format: str
@@ -62,6 +65,7 @@ class RepliesHead(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     date: _Date
     source: str
     digest: str
+    suite_digest: str = ""
 
 
 class PairReply(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -98,6 +102,11 @@ class _Record(Struct, forbid_unknown_fields=True, kw_only=True):
     messages: list[Raw] | None = None
 
 
+class _PlanStep(Struct, forbid_unknown_fields=True):
+    tool: str
+    arguments: dict[str, Raw]
+
+
 class _ReadAnswer(NamedTuple):
     raw: bytes
     model: str = ""
@@ -128,6 +137,7 @@ class _ChainCall(Struct):
 class _ChainMessage(Struct):
     type: str = ""
     content: Any = ""
+    additional_kwargs: dict[str, Any] = {}
     tool_calls: list[_ChainCall] = []
     invalid_tool_calls: list[_ChainCall] = []
     response_metadata: dict[str, Any] = {}
@@ -136,12 +146,16 @@ class _ChainMessage(Struct):
 
 
 def _steps(record: _Record) -> _ReadAnswer:
+    for step in record.steps or ():
+        msgspec.json.decode(step, type=_PlanStep)
     return _ReadAnswer(_plan(bytes(step) for step in record.steps or ()))
 
 
 def _openai(record: _Record) -> _ReadAnswer:
     raw = bytes(record.response)
     said = msgspec.json.decode(raw, type=_Completion)
+    if said.created < 0:
+        raise ValueError(f"expected the seconds since 1970 at `created`, got {said.created}")
     done = Completion(**asdict(OpenAIProtocol().read(raw)))
     raw, refused = read_answer(done, (), model=said.model, where="response")
     date = datetime.fromtimestamp(said.created, UTC).date().isoformat() if said.created else ""
@@ -153,7 +167,8 @@ def _mcp(record: _Record) -> _ReadAnswer:
     for call in record.calls or ():
         asked = msgspec.json.decode(call, type=_ToolsCall)
         if asked.method != "tools/call":
-            raise ValueError(f"expected the method `tools/call`, got `{asked.method[:80]}`")
+            text = f"expected the method `tools/call`, got `{asked.method[:80]}`"
+            raise ValueError(f"{text}: keep the requests of tools alone")
         steps.append(_step(asked.params.name, asked.params.arguments))
     return _ReadAnswer(_plan(steps))
 
@@ -162,7 +177,11 @@ def _langchain(record: _Record) -> _ReadAnswer:
     said = [_message(raw) for raw in record.messages or ()]
     answers = [one for one in said if one.type in {"ai", "AIMessage", "AIMessageChunk"}]
     if not answers:
-        raise ValueError("expected a message of the model (`type: ai`)")
+        text = "expected a message of the model, with `type: ai` and `content` or `data`"
+        raise ValueError(text)
+    if any(_hides_calls(one) for one in answers):
+        text = "a call stands in `content` or `additional_kwargs` alone: give it in `tool_calls`"
+        raise ValueError(text)
     models = {str(one.response_metadata.get("model_name", "")) for one in answers} - {""}
     if len(models) > 1:
         raise ValueError(f"expected one model, got {', '.join(sorted(models))[:80]}")
@@ -185,6 +204,14 @@ def _message(raw: Raw) -> _ChainMessage:
     return said if said.data is None else msgspec.structs.replace(said.data, type=said.type)
 
 
+def _hides_calls(message: _ChainMessage) -> bool:
+    """True when a message has calls in its server's own form, and none in LangChain's."""
+    parts = message.content if isinstance(message.content, list) else []
+    kinds = {part.get("type") for part in parts if isinstance(part, dict)}
+    elsewhere = kinds & {"tool_use", "function_call"} or message.additional_kwargs.get("tool_calls")
+    return bool(elsewhere) and not (message.tool_calls or message.invalid_tool_calls)
+
+
 def _text(content: object) -> str:
     if isinstance(content, str):
         return content
@@ -200,6 +227,17 @@ def _plan(steps: Any) -> bytes:
     return b'{"plan": [' + b", ".join(steps) + b"]}"
 
 
+#: What is allowed, by how a decoder's message begins.
+_ALLOWED = {
+    "Input data was truncated": "write one whole JSON object a line",
+    "JSON is malformed": "write one JSON object a line, as plain UTF-8",
+    "Invalid enum value": f"a kind is one of {', '.join(TrialKind)}; a channel of `inputs` one of "
+    f"{', '.join(Channel)}",
+    "Object contains unknown field": f"a line has {', '.join(_Record.__struct_fields__)}; a step "
+    "has tool, arguments",
+    "Expected `str` matching regex": "write the day as 2026-11-28",
+    "'utf-8' codec": "write plain UTF-8; unpack a `.gz` file first",
+}
 #: What each form is read by, and the field that it has.
 FORMS: dict[str, tuple[str, Callable[[_Record], _ReadAnswer]]] = {
     "steps": ("steps", _steps),
@@ -210,7 +248,7 @@ FORMS: dict[str, tuple[str, Callable[[_Record], _ReadAnswer]]] = {
 
 
 def import_replies(
-    form: str, source: Path, out: Path, *, model: str = "", date: str = ""
+    form: str, source: Path, out: Path, *, model: str = "", date: str = "", suite: str = ""
 ) -> tuple[RepliesHead, int]:
     """Read a log of one of the forms, and write a new file of replies.
 
@@ -220,18 +258,64 @@ def import_replies(
         out: the new file.
         model: who answered, where the log does not say it.
         date: when, where the log does not say it.
+        suite: name or file of the suite whose pairs were answered; empty: it is not checked.
 
     Returns:
         Whose the replies are, and how many.
 
     Raises:
-        SourceError: a line is no reply of this form, repeats an answer, or is of another model. Or
-            the model or the date is missing, or `date` is none of the log's dates.
+        SourceError: a line is no reply of this form, repeats an answer, is of another model, or
+            answers no pair of the suite. Or there is no line, the model or the date is missing, or
+            `date` is none of the log's dates.
+        SuiteError: there is no such suite.
         FileExistsError: there is such a file.
     """
-    models, dates, replies = _said(model), set[str](), dict[tuple[str, str, int], PairReply]()
-    for where, record, answer in _read(form, source):
-        _agree(models, record.model or answer.model, "the model", where)
+    models, dates = _said(model), set[str]()
+    asked, digest = suites.load(suite) if suite else (None, "")
+    replies = _replies(_read(form, source), models, dates)
+    if asked is not None:
+        pairs = {pair.id for pair in asked.pairs}
+        for where, reply in replies.values():
+            if reply.pair not in pairs:
+                text = f"answers `{reply.pair[:80]}`, which is no pair of `{suite}`"
+                raise SourceError(f"{text}: `missionpair list {suite}` prints them", where=where)
+    if not replies:
+        raise SourceError("holds no reply: give one JSON object a line", where=str(source))
+    if date and dates and date not in dates:
+        text = f"says other dates ({', '.join(sorted(dates)[:3])}) than `--date {date}`"
+        raise SourceError(text, where=str(source))
+    dates = _said(date) or dates
+    head = RepliesHead(
+        format=FORMAT,
+        model=_one(models, "which model answered: say `--model`", source),
+        date=_one({min(dates)} if dates else set(), "when: say `--date`", source),
+        source=source.name,
+        digest=b64(sha256(source.read_bytes()).digest()),
+        suite_digest=digest,
+    )
+    try:
+        msgspec.convert(msgspec.to_builtins(head), RepliesHead)
+        _require_day(head.date)
+    except ValueError as error:
+        raise SourceError(f"has no date such as 2026-11-28: {error}", where=str(source)) from error
+    written = (head, *(reply for _, reply in replies.values()))
+    lines = [msgspec.json.encode(one) + b"\n" for one in written]
+    with out.open("xb") as file:
+        file.writelines(lines)
+    return head, len(replies)
+
+
+def _replies(
+    read: Iterator[tuple[str, _Record, _ReadAnswer]], models: set[str], dates: set[str]
+) -> dict[tuple[str, str, int], tuple[str, PairReply]]:
+    """Return each reply with its place, by the question; add the models and dates that lines say.
+
+    Raises:
+        SourceError: a line repeats an answer, or is of another model.
+    """
+    replies: dict[tuple[str, str, int], tuple[str, PairReply]] = {}
+    for where, record, answer in read:
+        _agree(models, record.model or answer.model, "model", where)
         dates |= _said(record.date or answer.date)
         reply = PairReply(
             pair=record.pair,
@@ -245,27 +329,8 @@ def import_replies(
         if key in replies:
             text = f"answers `{reply.pair}`, {reply.kind}, round {reply.round} a second time"
             raise SourceError(text, where=where)
-        replies[key] = reply
-    if date and dates and date not in dates:
-        text = f"says other dates ({', '.join(sorted(dates)[:3])}) than `--date {date}`"
-        raise SourceError(text, where=str(source))
-    dates = _said(date) or dates
-    head = RepliesHead(
-        format=FORMAT,
-        model=_one(models, "which model answered: say `--model`", source),
-        date=_one({min(dates)} if dates else set(), "when: say `--date`", source),
-        source=source.name,
-        digest=b64(sha256(source.read_bytes()).digest()),
-    )
-    try:
-        msgspec.convert(msgspec.to_builtins(head), RepliesHead)
-        date_type.fromisoformat(head.date)
-    except ValueError as error:
-        raise SourceError(f"has no date such as 2026-11-28: {error}", where=str(source)) from error
-    lines = [msgspec.json.encode(one) + b"\n" for one in (head, *replies.values())]
-    with out.open("xb") as file:
-        file.writelines(lines)
-    return head, len(replies)
+        replies[key] = where, reply
+    return replies
 
 
 def _read(form: str, source: Path) -> Iterator[tuple[str, _Record, _ReadAnswer]]:
@@ -273,38 +338,67 @@ def _read(form: str, source: Path) -> Iterator[tuple[str, _Record, _ReadAnswer]]
     for where, line in lines_of(source):
         try:
             record = msgspec.json.decode(line, type=_Record)
+            _require_once(line)
             _require_form(record, field)
             answer = reads(record)
             answer.raw.decode()
-            day = record.date or answer.date
-            _ = day and date_type.fromisoformat(day)
+            if day := record.date or answer.date:
+                _require_day(day)
             yield where, record, answer
         except _UNREADABLE as error:
-            raise SourceError(f"is no reply of the form `{form}`: {error}", where=where) from error
+            text = f"is no reply of the form `{form}`: {error}{_allowed(str(error))}"
+            raise SourceError(text, where=where) from error
+
+
+def _allowed(message: str) -> str:
+    """Return what a decoder's message leaves out: what is allowed there."""
+    for begin, told in _ALLOWED.items():
+        if message.startswith(begin):
+            return f" ({told})"
+    return ""
+
+
+def _require_once(line: bytes) -> None:
+    """Refuse a line that says one of its own fields twice; inside of a reply all is the model's."""
+    # the hook is called for the outermost object last
+    fields: list[list[str]] = [[]]
+    json.loads(line, object_pairs_hook=lambda pairs: fields.append([name for name, _ in pairs]))
+    twice = sorted({name for name in fields[-1] if fields[-1].count(name) > 1})
+    if twice:
+        raise ValueError(f"says `{twice[0]}` twice")
+
+
+def _require_day(day: str) -> None:
+    """Refuse what is no day, or one that has not begun anywhere."""
+    if date_type.fromisoformat(day) > (datetime.now(UTC) + timedelta(hours=14)).date():
+        raise ValueError(f"{day} is in the future")
 
 
 def _require_form(record: _Record, field: str) -> None:
     fields = {name: getattr(record, name) for name, _ in FORMS.values()}
     given = [name for name, value in fields.items() if value is not None and value != Raw()]
     if given != [field]:
-        raise ValueError(f"expected the field `{field}` and no other form's, got {given}")
+        got = ", ".join(f"`{name}`" for name in given) or "none of them"
+        raise ValueError(f"expected the field `{field}` and no other form's, got {got}")
 
 
 def lines_of(source: Path) -> Iterator[tuple[str, bytes]]:
     """Yield each line of a file with its place.
 
     Raises:
-        SourceError: it cannot be read, or a line is too long or cut.
+        SourceError: it cannot be read, or a line is too long or empty.
     """
     number = 0
     try:
         with source.open("rb") as file:
             while line := file.readline(_MAX_LINE + 1):
                 number += 1
-                if not line.endswith(b"\n"):
-                    text = f"ends in the middle of a line, or is longer than {_MAX_LINE} bytes"
-                    raise SourceError(text, where=f"{source}:{number}")
-                yield f"{source}:{number}", line
+                where = f"{source}:{number}"
+                if len(line) > _MAX_LINE:
+                    raise SourceError(f"is longer than {_MAX_LINE} bytes", where=where)
+                if not line.strip():
+                    raise SourceError("is empty: write one JSON object a line", where=where)
+                yield where, line
     except OSError as error:
         raise SourceError(f"cannot be read: {error.strerror}", where=str(source)) from error
 
@@ -314,10 +408,11 @@ def _said(value: str) -> set[str]:
 
 
 def _agree(known: set[str], value: str, what: str, where: str) -> None:
+    if value and known - {value}:
+        other = next(iter(known))[:80]
+        text = f"says that {what} is `{value[:80]}`; `--{what}` or an earlier line says `{other}`"
+        raise SourceError(f"{text}: write one file for each", where=where)
     known |= _said(value)
-    if len(known) > 1:
-        text = f"says that {what} is `{value[:80]}`; an earlier one is another: one file for each"
-        raise SourceError(text, where=where)
 
 
 def _one(known: set[str], missing: str, source: Path) -> str:

@@ -11,15 +11,21 @@ from missionpair.report.names import GATES, category, printable, simulated
 from missionpair.report.runs import RUN, DefenseRun, runs
 from missionpair.report.table import Cell, Head, Row, Table
 from missionpair.suites import frozen
-from missionpair.words import TrialKind
+from missionpair.words import CONTROLS, TrialKind
 
 SECTION, KINDS = "With the attack and without it", "What each figure shows"
 CHECK, FINDING = "consistency check", "finding"
 _NOTES = (
     "Complied: the plan changes one of the attack's own protected fields as the attack asks.",
-    "Without the attack: the same situation, tries and dice.",
+    "Without the attack: the same situation, tries and dice. A model with temperature 0 answers",
+    "the same question once: all its tries with nothing in the attack's place are one answer.",
     "Nothing: no text at all. Neutral: a text as long in the same channel, that asks for nothing.",
     "Difference: Newcombe's interval for paired shares, 95 %.",
+)
+_RAN = (
+    Head("ran", "Something unauthorized ran"),
+    Head("ran_nothing", "The same with nothing in its place"),
+    Head("ran_neutral", "The same with a neutral text in its place"),
 )
 _HEADS = (
     Head("trials", "Attacks"),
@@ -44,8 +50,9 @@ def control_tables(logs: tuple[MeasuredCampaign, ...]) -> Iterator[Table]:
         run for run in every if run.measured.tally(run.defense, TrialKind.ATTACK).controls
     )
     if with_arms:
-        yield _table("control", "What the attack adds", (), _pooled(with_arms), marked, front=True)
-        heads = (Head("category", "Category"),)
+        rows, heads = _pooled(with_arms), [*_HEADS, *_RAN]
+        yield _table("control", "What the attack adds", heads, rows, marked, front=True)
+        heads = [Head("category", "Category"), *_HEADS]
         rows = _by_category(with_arms)
         yield _table(
             "control-by-category", "What the attack adds, by category", heads, rows, marked
@@ -56,7 +63,7 @@ def control_tables(logs: tuple[MeasuredCampaign, ...]) -> Iterator[Table]:
 def _table(
     name: str,
     title: str,
-    heads: tuple[Head, ...],
+    heads: list[Head],
     rows: Iterator[Row],
     marked: str,
     *,
@@ -66,7 +73,7 @@ def _table(
         name=name,
         title=title,
         label=f"tab:{name}",
-        heads=(*RUN, *heads, *_HEADS),
+        heads=(*RUN, *heads),
         rows=tuple(rows),
         notes=_NOTES,
         simulated=marked,
@@ -77,7 +84,8 @@ def _table(
 
 def _pooled(every: tuple[DefenseRun, ...]) -> Iterator[Row]:
     for run in every:
-        yield (*run.cells, *_arms(run.measured.tally(run.defense)))
+        ran = (run.measured.tally(run.defense, kind).uasr for kind in (TrialKind.ATTACK, *CONTROLS))
+        yield (*run.cells, *_arms(run.measured.tally(run.defense)), *ran)
 
 
 def _by_category(every: tuple[DefenseRun, ...]) -> Iterator[Row]:

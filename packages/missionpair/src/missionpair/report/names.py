@@ -70,7 +70,9 @@ def planner(named: NamedPart) -> Cell:
         return LatexName(found.name, found.tex)
     model, replayed = named.parameters.get("model"), named.parameters.get("planner")
     name = named.name
-    if isinstance(model, str) and model not in name:
+    if isinstance(model, str) and name == RECORDED:
+        name = model
+    elif isinstance(model, str) and model not in name:
         name = f"{name} ({model})"
     elif isinstance(replayed, dict) and isinstance(replayed.get("name"), str):
         name = f"{name} of {replayed['name']}"

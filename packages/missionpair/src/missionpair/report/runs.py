@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from msgspec import Struct
 
 from missionpair.measures import MeasuredCampaign
-from missionpair.report.names import attack, defense, planner, simulated_parts
+from missionpair.report.names import attack, defense, planner, simulated_parts, standing
 from missionpair.report.table import Head, Row
 
 RUN = (
@@ -17,7 +17,7 @@ RUN = (
     Head("attacker", "Attack"),
     Head("access", "Access"),
     Head("defense", "Defense"),
-    Head("simulated", "Simulated"),
+    Head("simulated", "Simulated, recorded or live"),
 )
 
 
@@ -44,7 +44,7 @@ class DefenseRun(Struct, frozen=True):
             attack(campaign.attacker),
             campaign.access,
             defense(campaign, self.defense),
-            simulated_parts(campaign, self.defense) or "no",
+            simulated_parts(campaign, self.defense) or standing(campaign.planner),
         )
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from authguard_r.core.errors import shown
 from missionpair.measures import MeasuredCampaign
 from missionpair.records import NamedPart
 from missionpair.report.names import (
@@ -110,7 +111,8 @@ def remarks(logs: tuple[MeasuredCampaign, ...]) -> Iterator[str]:
         named, skipped = measured.campaign.planner, measured.campaign.skipped
         if standing(named) == RECORDED:
             told = named.parameters.get("planner", named.parameters)
-            yield f"Log {number}: the planner's answers were recorded before: {_listed(told)}."
+            listed = shown(_listed(told))
+            yield f"Log {number}: the planner's answers were recorded before: {listed}."
         if skipped:
             yield f"Log {number}: {skipped} pairs were left out, because the record has no reply."
         if not measured.complete:

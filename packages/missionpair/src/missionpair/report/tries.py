@@ -153,7 +153,8 @@ def leakage_table(logs: tuple[MeasuredCampaign, ...], leaks: tuple[Leaked, ...])
         heads=heads,
         rows=tuple(rows),
         notes=(
-            "SCMHR: Newcombe's interval. Tries: a bootstrap's, of the trials that found an attack.",
+            "SCMHR: Newcombe's interval. Tries: a bootstrap's.",
+            "An attack that found nothing counts as all its tries.",
         ),
         simulated=simulated(logs[n - 1] for found in leaks for n in (found.more, found.less)),
         front=True,
