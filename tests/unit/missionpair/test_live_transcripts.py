@@ -103,7 +103,8 @@ def figures(name: str) -> str:
 
     if campaign.kinds == ("benign",):
         return f"| `{name}` | {shown('benign', 'completed')} |"
-    held = [one for one in trials if one.defense == "both" and one.complied]
+    attacks = [one for one in trials if (one.kind, one.defense) == ("attack", "both")]
+    held = [one for one in attacks if one.complied]
     cells = [
         *(shown(kind, "complied") for kind in ("attack", "control", "neutral")),
         shown("attack", "intended"),
