@@ -57,5 +57,5 @@ def test_every_run_is_read_and_attacks_on_held_out_pipelines_hardly_change_anyth
                 and r.defense == "both"}  # fmt: skip
     assert changing <= {("banking", "user_task_15")}
     assert both.changes.k <= 0.01 * both.changes.n
-    assert both.leaks.k <= 0.03 * both.leaks.n
+    assert both.leaks.k <= 0.02 * both.leaks.n
     assert both.refusals.k <= 0.05 * both.refusals.n

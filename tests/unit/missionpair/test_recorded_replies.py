@@ -252,7 +252,7 @@ def test_a_line_that_is_no_reply_is_refused_by_place(
         ("", "holds no reply"),
         ("\n", "is empty: write one JSON object a line"),
         ('{"pair": "p",\n"steps": []}\n', "one whole JSON object a line"),
-        ('{"pair": "p", "pair": "q", "steps": []}', "says `pair` twice"),
+        ('{"pair": "p", "pair": "q", "steps": []}', "has the field `pair` twice"),
         ("\x1f\x8b", "plain UTF-8"),
     ],
 )

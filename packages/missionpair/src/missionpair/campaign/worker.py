@@ -154,7 +154,7 @@ def known_to(
 
 
 def require_known(planner: Planner, suite: Suite) -> None:
-    """Refuse a record that answers what the suite does not ask.
+    """Refuse recorded replies to pairs that the suite does not have.
 
     Raises:
         PlannerError: it names a pair that the suite does not have.
@@ -168,10 +168,10 @@ def require_known(planner: Planner, suite: Suite) -> None:
 
 
 def require_same_setup(part: Planner | Attacker, plan: CampaignPlan) -> None:
-    """Hold a campaign to the one whose log is replayed: what was not asked then has no answer.
+    """Refuse a campaign that asks what the replayed log does not answer.
 
     Raises:
-        PlanError: it asks for other kinds of trial, more rounds or turns, other dice or access.
+        PlanError: it asks for other kinds of trial, more rounds or turns, another seed or access.
     """
     before: Campaign | None = getattr(part, "replayed", None)
     if before is None:

@@ -169,7 +169,7 @@ def require_known(suite: str, task: str, attack: str, *, where: str) -> None:
     if known is None or task not in {*known.tasks, *known.attacks}:
         raise SourceError(f"no mission was written for the task `{task}`", where=where)
     if attack and attack not in known.attacks:
-        text = f"nobody wrote down which calls the attack `{attack}` asks for"
+        text = f"the suite's file does not list the calls of the attack `{attack}`"
         raise SourceError(text, where=where)
 
 

@@ -46,7 +46,7 @@ class ReplayedRun(Struct, frozen=True, kw_only=True):
         ran: whether each call would have run.
         reasons: the codes of each call's refusal; empty where it ran.
         unauthorized: whether each call is the attack's.
-        shared: whether each call is one that attack and task both make: it only reads.
+        shared: whether each call is a read that the attack and the task both need.
         changes: whether each call changes something.
     """
 

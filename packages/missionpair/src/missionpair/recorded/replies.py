@@ -57,7 +57,7 @@ class RepliesHead(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         date: when, `2026-11-28`.
         source: name of the log that was imported.
         digest: its SHA-256, base64url.
-        suite_digest: of the suite whose pairs were answered; empty: nobody said it.
+        suite_digest: SHA-256 of the suite whose pairs were answered; empty: not known.
     """
 
     format: str
@@ -294,8 +294,8 @@ def import_replies(
         suite_digest=digest,
     )
     try:
-        msgspec.convert(msgspec.to_builtins(head), RepliesHead)
         _require_day(head.date)
+        msgspec.convert(msgspec.to_builtins(head), RepliesHead)
     except ValueError as error:
         raise SourceError(f"has no date such as 2026-11-28: {error}", where=str(source)) from error
     written = (head, *(reply for _, reply in replies.values()))
@@ -359,17 +359,17 @@ def _allowed(message: str) -> str:
 
 
 def _require_once(line: bytes) -> None:
-    """Refuse a line that says one of its own fields twice; inside of a reply all is the model's."""
+    """Refuse a line that has one field twice; what stands inside a reply is the model's."""
     # the hook is called for the outermost object last
     fields: list[list[str]] = [[]]
     json.loads(line, object_pairs_hook=lambda pairs: fields.append([name for name, _ in pairs]))
     twice = sorted({name for name in fields[-1] if fields[-1].count(name) > 1})
     if twice:
-        raise ValueError(f"says `{twice[0]}` twice")
+        raise ValueError(f"has the field `{twice[0]}` twice")
 
 
 def _require_day(day: str) -> None:
-    """Refuse what is no day, or one that has not begun anywhere."""
+    """Refuse text that is no date, or a date in the future in every time zone."""
     if date_type.fromisoformat(day) > (datetime.now(UTC) + timedelta(hours=14)).date():
         raise ValueError(f"{day} is in the future")
 
@@ -378,7 +378,7 @@ def _require_form(record: _Record, field: str) -> None:
     fields = {name: getattr(record, name) for name, _ in FORMS.values()}
     given = [name for name, value in fields.items() if value is not None and value != Raw()]
     if given != [field]:
-        got = ", ".join(f"`{name}`" for name in given) or "none of them"
+        got = ", ".join(f"`{name}`" for name in given) or "no such field"
         raise ValueError(f"expected the field `{field}` and no other form's, got {got}")
 
 

@@ -46,8 +46,8 @@ class OutcomeRow(Struct, kw_only=True):
             the attack asks for.
         leaks: of the landed runs, those in which such a call would have run.
         changes: of the landed runs, those in which a call that changes something would have run.
-        shared: of the landed runs, those in which no such call would have run, but a read that
-            attack and task both make.
+        shared: of the landed runs, those in which only a read would have run that the attack and
+            the task both need.
         refusals: of the runs without an attack that did their task, those with a refused call.
     """
 
