@@ -11,7 +11,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from functools import cache
 from importlib.util import find_spec
@@ -24,16 +23,15 @@ from authguard_r.access.gate_config import Peer
 from authguard_r.client import GateClient
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import AuthenticityError, AuthGuardError, MalformedError, RefusedError
-from authguard_r.core.identifiers import Digest
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
 from authguard_r.enforcement.enforcer import Enforcer
-from authguard_r.enforcement.signed_orders import Command, Verb
+from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.keys.signer import folder_signer
 from authguard_r.sim.robot import snapshot_of
 from authguard_r.wire.messages import MAY, Attest, ClientRole, Kind, Propose
 from fixtures import scenarios
-from fixtures.gate_process import Line, RunningGate, until
+from fixtures.gate_process import Line, RunningGate, order, until
 
 pytestmark = pytest.mark.smoke
 
@@ -250,20 +248,11 @@ def test_l14_what_came_once_does_not_come_again_after_a_crash() -> None:
         gate.start_gate()
         with gate.client(ClientRole.OPERATOR, "waits") as person:
             until(lambda: person.status()["mission"]["status"] == "suspended", "the recovery")
-        resume = Command(
-            verb=Verb.RESUME,
-            mid=mission.mid,
-            version=mission.version,
-            mission=Digest(digest),
-            nonce=b64(scenarios.random_bytes(16)),
-            expires_ms=time.time_ns() // 1_000_000 + 600_000,
-            issued_ms=time.time_ns() // 1_000_000,
-        )
-        order = sign_object(resume, Tag.COMMAND, folder_signer(gate.trust, "operator-1"))
+        resume = order(gate, mission, digest, Verb.RESUME)
         with gate.client(ClientRole.OPERATOR, "person") as person:
-            person.command(order)
-            for spent, reason in ((order, Reason.EXPIRED), (token, Reason.TRANSITION_REFUSED)):
-                act = person.command if spent is order else person.activate
+            person.command(resume)
+            for spent, reason in ((resume, Reason.EXPIRED), (token, Reason.TRANSITION_REFUSED)):
+                act = person.command if spent is resume else person.activate
                 with pytest.raises(AuthGuardError) as caught:
                     act(spent)
                 assert caught.value.reason is reason
