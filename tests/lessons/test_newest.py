@@ -79,7 +79,8 @@ def test_l24_an_older_order_undoes_nothing_that_was_signed_after_it() -> None:
         before = house.order(Verb.RESUME, issued_ms=house.clock.wall_ms())
         house.advance(50)
         house.stop(ClientRole.OPERATOR, 1)
-        same = house.order(Verb.RESUME, issued_ms=house.clock.wall_ms())  # the stop's millisecond: which came first is unknown
+        # of the stop's own millisecond: which of the two came first is unknown
+        same = house.order(Verb.RESUME, issued_ms=house.clock.wall_ms())
         for early, token in ((50, before), (0, same)):
             with pytest.raises(Refused, match=f"ORDER_TOO_OLD.*, {early} ms before"):
                 order(house, OrderKind.COMMAND, token)
