@@ -62,7 +62,7 @@ def log() -> list[tuple[str, str]]:
         ("mission", "resolve", "m.token", *ON, "--ticket", "T" * 43, "--outcome", "aborted"),
         ("stop", *ON),
         ("run", "--token", "m.token", *ON, *PLAN),
-        ("frost", "ballot", "1", "--out", "b.json", *ON),
+        ("advanced", "frost", "ballot", "1", "--out", "b.json", *ON),
     ],
     ids=lambda words: " ".join(words[:2]),
 )

@@ -606,7 +606,7 @@ def test_wrong_usage_is_one_line_and_names_the_option(shell: Shell) -> None:
     assert shell("init", "--from", "mcp", "--out", "y")[1].endswith("(at LIST)\n")
 
 
-@pytest.mark.parametrize("command", ["gate", "stop-lane", "robot", "estimator"])
+@pytest.mark.parametrize("command", ["gate", "advanced stop-process", "robot", "estimator"])
 def test_a_run_folder_that_is_a_file_is_said_to_be_one(shell: Shell, command: str) -> None:
     Path("file").write_text("")
     config = gate_config(shell)
@@ -617,12 +617,12 @@ def test_a_run_folder_that_is_a_file_is_said_to_be_one(shell: Shell, command: st
             *("--demo", *SITE, "--binding", "h/binding.yaml"),
             *("--config", config, "--store", "r.db"),
         ),
-        "stop-lane": ("--config", config, *signer),
+        "advanced stop-process": ("--config", config, *signer),
         "robot": tuple(SITE),
         "estimator": signer,
     }[command]
     on = ("--robot", scenarios.RID, "--trust", "trust", "--run", "file")
-    code, reason, message = shell.refused(command, *on, *words)
+    code, reason, message = shell.refused(*command.split(), *on, *words)
     assert (code, reason) == (5, "STORE_UNAVAILABLE")
     assert "expected a folder" in message
 

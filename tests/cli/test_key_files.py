@@ -50,7 +50,7 @@ SITE = ["--site", "h/site.yaml"]
 PASS = ["--passphrase-file", "said"]
 COLLECT = (scenarios.HOSPITAL / "replies" / "01-collect.json").read_bytes()
 #: These hold a robot's own key, which is a plain file or nothing, or only look at one.
-SERVICES = {"gate", "stop-lane", "doctor"}
+SERVICES = {"gate", "advanced stop-process", "doctor"}
 
 
 class Shell:

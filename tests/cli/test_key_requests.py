@@ -324,7 +324,7 @@ def test_a_rotated_key_counts_beside_the_old_until_that_is_revoked(machines: Mac
     code, told = machines.json("keys", "revoke", "auth", "--serial", first.serial)
     assert (code, told["lists"][0]["serials"]) == (0, [str(first.serial)])
     taken = machines(
-        "revocations", "install", "auth/revocations/people.json", "--trust", "op/trust"
+        "advanced", "revocations", "install", "auth/revocations/people.json", "--trust", "op/trust"
     )
     assert taken[0] == 0
     assert holds(new, "op/trust").principal == "operator-1"
@@ -363,7 +363,14 @@ def test_an_authority_is_revoked_by_its_root(machines: Machines) -> None:
     stem = machines.member("op", *OPERATOR)
     code, told = machines.json("keys", "revoke", "auth", "people")
     assert (code, [item["authority"] for item in told["lists"]]) == (0, ["root"])
-    words = ("revocations", "install", "auth/revocations/root.json", "--trust", "op/trust")
+    words = (
+        "advanced",
+        "revocations",
+        "install",
+        "auth/revocations/root.json",
+        "--trust",
+        "op/trust",
+    )
     assert machines(*words)[0] == 0
     with pytest.raises(AuthenticityError, match="revoked"):
         holds(stem, "op/trust")
@@ -382,7 +389,7 @@ def test_a_folder_takes_no_older_list_and_no_strangers(machines: Machines) -> No
     machines.member("op", *OPERATOR)
     shutil.copytree("auth/revocations", "older")
     assert machines("keys", "revoke", "auth", "operator-1")[0] == 0
-    install = ("revocations", "install")
+    install = ("advanced", "revocations", "install")
     assert machines(*install, "auth/revocations/people.json", "--trust", "op/trust")[0] == 0
     older = "older/people.json"
     assert machines.refused(4, *install, older, "--trust", "op/trust") == "REVOCATION_STALE"

@@ -79,7 +79,7 @@ def filled(gate: RunningGate, words: list[str], pins: Path, calls: Path) -> list
 def pins(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the file with the server's tools, as the how-to has it made."""
     folder = tmp_path_factory.mktemp("pins")
-    words = ["mcp-tools", "--site", scenarios.HOSPITAL / "site.yaml"]
+    words = ["advanced", "mcp-tools", "--site", scenarios.HOSPITAL / "site.yaml"]
     words += ["--binding", scenarios.HOSPITAL / "binding.yaml", "--out", folder / "tools.json"]
     words += ["--", *server(folder / "calls.jsonl")]
     subprocess.run([AUTHGUARD, *words], capture_output=True, check=False)

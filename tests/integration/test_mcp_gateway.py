@@ -853,7 +853,7 @@ def test_what_a_front_raises_is_raised_as_it_is(house: DemoGateway) -> None:
 
 def test_the_commands_say_what_becomes_of_each_tool(tmp_path: Path) -> None:
     pins = tmp_path / "pins.json"
-    words = ["mcp-tools", "--site", str(scenarios.HOSPITAL / "site.yaml")]
+    words = ["advanced", "mcp-tools", "--site", str(scenarios.HOSPITAL / "site.yaml")]
     words += ["--binding", str(scenarios.HOSPITAL / "binding.yaml")]
     words += ["--out", str(pins), "--json", "--", sys.executable, str(SERVER), "calls.jsonl"]
     done = subprocess.run(

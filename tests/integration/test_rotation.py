@@ -106,7 +106,7 @@ class Site:
 
     def bring(self, gate: RunningGate, *files: Path) -> None:
         words = ("--gate", gate.run, "--trust", self.trust)
-        self.run("revocations", "install", *files, *words)
+        self.run("advanced", "revocations", "install", *files, *words)
 
 
 @pytest.fixture

@@ -135,7 +135,7 @@ def machine() -> Iterator[Machine]:
 
 def test_a_robot_runs_under_users_of_their_own(machine: Machine) -> None:
     etc, run, body = machine.folder / "etc", machine.folder / "run", machine.folder / "body"
-    lane = machine.start(GATE, "stop-lane", *machine.parts())
+    lane = machine.start(GATE, "advanced", "stop-process", *machine.parts())
     gate = machine.start(GATE, *machine.gate())
     site = ["--site", f"{etc}/site.token"]
     common = ["--robot", "courier-1", "--trust", f"{etc}/trust", "--run", str(body)]
@@ -172,7 +172,7 @@ def test_a_robot_runs_under_users_of_their_own(machine: Machine) -> None:
 
 
 def test_the_planner_can_read_and_write_nothing_that_counts(machine: Machine) -> None:
-    machine.start(GATE, "stop-lane", *machine.parts())
+    machine.start(GATE, "advanced", "stop-process", *machine.parts())
     machine.start(GATE, *machine.gate())
     etc, run = machine.folder / "etc", machine.folder / "run"
     tried = f"""

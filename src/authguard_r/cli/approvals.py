@@ -30,10 +30,6 @@ from authguard_r.site.model import Site
 from authguard_r.wire.approval_request import Question
 from authguard_r.wire.output import emit, printed
 
-app = typer.Typer(
-    help="Open approval requests: see them, answer them, watch them.", no_args_is_help=True
-)
-
 CounterArgument = Annotated[int, typer.Argument(help="The request's number.", min=1)]
 KeyChoice = Annotated[Path, typer.Option("--key", help="The approver's key.")]
 CertChoice = Annotated[Path, typer.Option("--cert", help="The key's certificate chain.")]
@@ -43,7 +39,6 @@ SiteChoice = Annotated[
 YesFlag = Annotated[bool, typer.Option("--yes", help="Do not ask; for scripts.")]
 
 
-@app.command("list")
 def list_command(
     gate: GateOption = None,
     role: RoleOption = ReadingRole.OPERATOR,
@@ -61,7 +56,6 @@ def list_command(
     return 3 if questions else 0
 
 
-@app.command("show")
 def show_command(
     counter: CounterArgument,
     gate: GateOption = None,
@@ -79,7 +73,6 @@ def show_command(
     return 0
 
 
-@app.command("approve")
 def approve_command(
     counter: CounterArgument,
     key: KeyChoice,
@@ -105,7 +98,6 @@ def approve_command(
     )
 
 
-@app.command("deny")
 def deny_command(
     counter: CounterArgument,
     key: KeyChoice,
@@ -136,7 +128,6 @@ def deny_command(
     )
 
 
-@app.command("watch")
 def watch_command(
     gate: GateOption = None,
     role: RoleOption = ReadingRole.OPERATOR,

@@ -27,7 +27,6 @@ from authguard_r.site.source import convert, read_text, read_yaml
 from authguard_r.site.words import standard_words
 from authguard_r.wire.output import emit
 
-app = typer.Typer(help="Bindings: what each field of each tool means.", no_args_is_help=True)
 BindingArgument = Annotated[str, typer.Argument(help="A shipped binding's name, or a file.")]
 SiteChoice = Annotated[
     Path | None, typer.Option("--site", help="The site model; without it, the standard words.")
@@ -36,8 +35,7 @@ _ROS_FILES = ("*.action", "*.msg", "*.srv")
 _UNSHOWN = "no interface given: nothing shows that every field is bound"
 
 
-@app.command("check")
-def check(
+def check_command(
     binding: BindingArgument,
     site: SiteChoice = None,
     interface: Annotated[
@@ -64,7 +62,6 @@ def check(
     return 1 if strict and (report.interface is None or report.uncompared) else 0
 
 
-@app.command("list")
 def list_command(as_json: JsonFlag = False) -> int:
     """Name the bindings that come with the package."""
     rows: list[dict[str, Any]] = []
@@ -76,8 +73,9 @@ def list_command(as_json: JsonFlag = False) -> int:
     return 0
 
 
-@app.command("show")
-def show(binding: BindingArgument, site: SiteChoice = None, as_json: JsonFlag = False) -> int:
+def show_command(
+    binding: BindingArgument, site: SiteChoice = None, as_json: JsonFlag = False
+) -> int:
     """Show each way of a binding: what it means, and a call that means it."""
     found = _read(binding)
     model = _site(found, site)

@@ -52,7 +52,7 @@ class _Stage(Struct, frozen=True, kw_only=True):
     start_ms: int
 
 
-def demo(
+def demo_command(
     out: Annotated[
         Path | None, typer.Option("--out", help="Keep keys, tokens and log here.")
     ] = None,

@@ -113,7 +113,7 @@ _EnclaveOption = Annotated[
 ]
 
 
-def doctor(
+def doctor_command(
     folder: _FolderArgument = None,
     trust: _TrustOption = None,
     store: _StoreOption = None,

@@ -53,9 +53,6 @@ from authguard_r.site.model import Site, profile_digest, site_digest
 from authguard_r.site.source import convert, read_text, read_yaml
 from authguard_r.wire.output import emit
 
-app = typer.Typer(help="What a robot may do in an emergency.", no_args_is_help=True)
-policy_app = typer.Typer(help="The signed policy.", no_args_is_help=True)
-app.add_typer(policy_app, name="policy")
 _SIGNER = "safety-officer-1"
 _DAY_MS = int(timedelta(days=1).total_seconds()) * 1_000
 FileArgument = Annotated[Path, typer.Argument(help="A policy as people write it (YAML).")]
@@ -108,8 +105,7 @@ class EmergencyForm(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     capabilities: tuple[Ability, ...]
 
 
-@policy_app.command("make")
-def make(
+def make_command(
     site: SiteOption,
     robot: Annotated[str, typer.Option("--robot", help="The robot.")],
     out: Annotated[Path, typer.Option("--out", help="Where to write it.")],
@@ -126,8 +122,7 @@ def make(
     return 0
 
 
-@policy_app.command("lint")
-def lint(file: FileArgument, site: SiteOption, as_json: JsonFlag = False) -> int:
+def check_command(file: FileArgument, site: SiteOption, as_json: JsonFlag = False) -> int:
     """Say everything that a gate would refuse a policy for."""
     model = load_site(site)
     found = lint_policy(_read(file, model, now_ms=wall_now(None).utc_ms), model)
@@ -136,8 +131,7 @@ def lint(file: FileArgument, site: SiteOption, as_json: JsonFlag = False) -> int
     return 1 if found else 0
 
 
-@policy_app.command("sign")
-def sign(
+def sign_command(
     file: FileArgument,
     site: SiteOption,
     trust: Annotated[Path, typer.Option("--trust", help="The trust folder.")],
@@ -157,8 +151,7 @@ def sign(
     return sign_kind(_KIND, policy, file, signer, trust=trust, out=out, yes=yes, as_json=as_json)
 
 
-@policy_app.command("show")
-def show(
+def show_command(
     token: Annotated[Path, typer.Argument(help="A signed policy.")],
     trust: Annotated[Path | None, typer.Option("--trust", help="The trust folder.")] = None,
     site: Annotated[Path | None, typer.Option("--site", help="The site model.")] = None,
@@ -180,8 +173,7 @@ def show(
     return 0
 
 
-@app.command("call")
-def call(
+def call_command(
     capability: Annotated[str, typer.Argument(help="The capability's id.")],
     gate: GateOption = None,
     trust: ProofOption = None,

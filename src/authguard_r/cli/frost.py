@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`authguard frost`: each person's step of a threshold signature, on that person's own machine.
+"""`authguard advanced frost`: each person's step of a threshold signature, on the own machine.
 
 Only files move between the machines. The steps need the extra `frost`; without it they say so.
 """
@@ -17,10 +17,6 @@ from authguard_r.cli.inputs import JsonFlag, TrustOption
 from authguard_r.cli.signing_key import PassphraseFile
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.reasons import Reason
-
-app = typer.Typer(help="Threshold signatures: t of n people approve as one.", no_args_is_help=True)
-dkg = typer.Typer(help="A group's key that nobody ever holds.", no_args_is_help=True)
-app.add_typer(dkg, name="dkg")
 
 GroupName = Annotated[str, typer.Option("--group", help="The principal that they sign as.")]
 ThresholdOption = Annotated[int, typer.Option("--threshold", help="How many sign together.", min=2)]
@@ -55,7 +51,6 @@ OutFile = Annotated[Path, typer.Option("--out", help="The file to write; it must
 OutFolder = Annotated[Path, typer.Option("--out", help="The folder to write into.")]
 
 
-@app.command("deal")
 def deal_command(
     group: GroupName,
     threshold: ThresholdOption,
@@ -70,7 +65,6 @@ def deal_command(
     return frost_keys.deal(group, threshold, tuple(member), out, as_json=as_json)
 
 
-@dkg.command("plan")
 def plan_command(
     group: GroupName,
     threshold: ThresholdOption,
@@ -85,7 +79,6 @@ def plan_command(
     return frost_keys.plan(group, threshold, tuple(member), out, as_json=as_json)
 
 
-@dkg.command("offer")
 def offer_command(
     plan: Annotated[Path, typer.Argument(help="The plan.")],
     member: Annotated[str, typer.Option("--as", help="Which member you are.")],
@@ -100,7 +93,6 @@ def offer_command(
     return frost_keys.offer(plan, member, secret, out, as_json=as_json)
 
 
-@dkg.command("exchange")
 def exchange_command(
     secret: SecretFile, offer: OfferFiles, out: OutFolder, as_json: JsonFlag = False
 ) -> int:
@@ -111,7 +103,6 @@ def exchange_command(
     return frost_keys.exchange(secret, tuple(offer), out, as_json=as_json)
 
 
-@dkg.command("finish")
 def finish_command(
     secret: SecretFile,
     offer: OfferFiles,
@@ -128,7 +119,6 @@ def finish_command(
     return frost_keys.finish(secret, tuple(offer), tuple(contribution), out, as_json=as_json)
 
 
-@app.command("protect")
 def protect_command(
     share: Annotated[Path, typer.Argument(help="Your own secret share.")],
     passphrase_file: PassphraseFile = None,
@@ -141,7 +131,6 @@ def protect_command(
     return frost_keys.protect(share, passphrase_file, as_json=as_json)
 
 
-@app.command("certify")
 def certify_command(
     trust: TrustOption,
     group: GroupFile,
@@ -182,7 +171,6 @@ def certify_command(
     )
 
 
-@app.command("ballot")
 def ballot_command(
     counter: Annotated[int, typer.Argument(help="The request's number.", min=1)],
     out: OutFile,
@@ -202,7 +190,6 @@ def ballot_command(
     return frost_signing.ballot(counter, place, out, deny=deny, as_json=as_json)
 
 
-@app.command("commit")
 def commit_command(
     share: ShareFile,
     nonces: NoncesFolder,
@@ -219,7 +206,6 @@ def commit_command(
     )
 
 
-@app.command("share")
 def share_command(
     share: ShareFile,
     nonces: NoncesFolder,
@@ -246,7 +232,6 @@ def share_command(
     )
 
 
-@app.command("aggregate")
 def aggregate_command(
     group: GroupFile,
     cert: Annotated[Path, typer.Option("--cert", help="The group's certificate chain.")],
@@ -271,7 +256,6 @@ def aggregate_command(
     )
 
 
-@app.command("submit")
 def submit_command(
     token: Annotated[Path, typer.Argument(help="An approval token.")],
     why: Annotated[str, typer.Option("--why", help="For the log; no planner hears of it.")] = "",
@@ -290,9 +274,8 @@ def submit_command(
     return frost_signing.submit(token, place, why=why, as_json=as_json)
 
 
-@app.command("inspect")
-def inspect_command(
-    file: Annotated[Path, typer.Argument(help="Any file of `authguard frost`.")],
+def show_command(
+    file: Annotated[Path, typer.Argument(help="Any file of `authguard advanced frost`.")],
     passphrase_file: PassphraseFile = None,
     as_json: JsonFlag = False,
 ) -> int:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The files of `authguard frost` as the commands read, write and show them."""
+"""The files of `authguard advanced frost` as the commands read, write and show them."""
 
 from __future__ import annotations
 

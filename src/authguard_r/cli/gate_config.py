@@ -66,7 +66,6 @@ from authguard_r.wire.disclosure import Disclosure
 from authguard_r.wire.messages import ClientRole, Mode
 from authguard_r.wire.output import emit
 
-app = typer.Typer(help="A gate's signed configuration: who may be what.", no_args_is_help=True)
 _SIGNER = "site-authority-1"
 _PLAIN = (
     "version",
@@ -147,8 +146,7 @@ class GateConfigForm(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     retention: tuple[RetentionForm, ...] = ()
 
 
-@app.command("make")
-def make(
+def make_command(
     robot: RobotOption,
     out: Annotated[Path, typer.Option("--out", help="Where to write it.")],
     peer: Annotated[
@@ -197,8 +195,7 @@ def make(
     return 0
 
 
-@app.command("sign")
-def sign(
+def sign_command(
     file: Annotated[Path, typer.Argument(help="A configuration as `make` wrote it (YAML).")],
     key: Annotated[Path, typer.Option("--key", help="The site authority's key.")],
     cert: CertOption,
@@ -217,8 +214,7 @@ def sign(
     return sign_kind(_KIND, config, file, signer, trust=trust, out=out, yes=yes, as_json=as_json)
 
 
-@app.command("show")
-def show(
+def show_command(
     token: Annotated[Path, typer.Argument(help="A signed configuration.")],
     trust: TrustChoice = None,
     now: NowOption = None,

@@ -34,10 +34,7 @@ from authguard_r.keys.signer import FileSigner
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.output import emit
 
-app = typer.Typer(help="Instances of signed templates.", no_args_is_help=True)
 
-
-@app.command("sign")
 def sign_command(
     template: SignedTemplate,
     key: Annotated[Path, typer.Option("--key", help="The scheduler's key.")],

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`authguard keys revoke`, `lists`, `show` and `authguard revocations`: who counts no more.
+"""`authguard keys revoke`, `lists`, `show` and `authguard advanced revocations`.
 
 How-to: docs/howto/keys.md
 """
@@ -41,7 +41,6 @@ from authguard_r.keys.trust import (
 from authguard_r.wire.messages import ClientRole
 from authguard_r.wire.output import emit, emit_error, exit_code
 
-app = typer.Typer(help="Revocation lists, where they count.", no_args_is_help=True)
 FolderArgument = Annotated[Path, typer.Argument(help="The authority's folder.")]
 ListDays = Annotated[
     int, typer.Option("--days", min=1, max=3_650, help="Days until the next update.")
@@ -115,7 +114,7 @@ def _tell_lists(
         f"until {item['next_update']}"
         for item in told
     ]
-    lines += ["bring them to every machine: authguard revocations install"]
+    lines += ["bring them to every machine: authguard advanced revocations install"]
     lines += [
         f"CANNOT READ {path}: what it gave may still hold; "
         "`--serial` with `--authority` needs no file"
@@ -125,7 +124,6 @@ def _tell_lists(
     return 1 if unread else 0
 
 
-@app.command("install")
 def install_command(
     files: Annotated[list[Path], typer.Argument(help="Signed lists: `revocations/NAME.json`.")],
     gate: GateOption = None,

@@ -27,8 +27,6 @@ _CHOICES: dict[str, tuple[Algorithm, ...]] = {
 #: one.
 DEMO_DAYS, ROOT_DAYS = 365, 3_650
 
-app = typer.Typer(help="Keys, certificates and trust roots.", no_args_is_help=True)
-
 
 _FolderArgument = Annotated[Path, typer.Argument(help="A new or empty folder.")]
 _DemoOption = Annotated[
@@ -61,8 +59,7 @@ _DaysOption = Annotated[
 ]
 
 
-@app.command("init")
-def init(
+def init_command(
     folder: _FolderArgument,
     demo: _DemoOption = True,
     site: _SiteOption = None,

@@ -31,7 +31,6 @@ from authguard_r.cli.inputs import (
 )
 from authguard_r.cli.mission_files import lint_json, mission_digest, read_unverified
 from authguard_r.cli.out import risk_policy_json
-from authguard_r.cli.sign import sign_command
 from authguard_r.core.encoding import Tag, b64, decode, digest, encode, unb64
 from authguard_r.core.mission import Mission
 from authguard_r.core.token import read_token
@@ -41,12 +40,10 @@ from authguard_r.site.formatting import row_words
 from authguard_r.site.source import read_text, read_yaml
 from authguard_r.wire.output import emit
 
-app = typer.Typer(help="Missions: from a draft to signed authority and back.", no_args_is_help=True)
 MissionArgument = Annotated[Path, typer.Argument(help="A mission as `compile` wrote it.")]
 TokenArgument = Annotated[Path, typer.Argument(help="A signed mission.")]
 
 
-@app.command("compile")
 def compile_command(
     draft: Annotated[Path, typer.Argument(help="A mission draft (YAML).")],
     site: SiteOption,
@@ -93,7 +90,6 @@ def _supersede(plain: object, token: Path | None) -> object:
     return {**plain, "version": old.version + 1, "supersedes": digest(Tag.MISSION, payload)}
 
 
-@app.command("review")
 def review_command(
     mission: MissionArgument,
     site: SiteOption,
@@ -150,8 +146,7 @@ def _demand(risk: VerifiedPolicy | None) -> OrganizationDemand | None:
     return OrganizationDemand(organization=own.organization, version=own.version, policy=own.policy)
 
 
-@app.command("lint")
-def lint_command(
+def check_command(
     mission: MissionArgument,
     site: SiteOption,
     strict: Annotated[bool, typer.Option("--strict", help="Fail on warnings too.")] = False,
@@ -166,10 +161,6 @@ def lint_command(
     return 1 if failed else 0
 
 
-app.command("sign")(sign_command)
-
-
-@app.command("verify")
 def verify_command(
     token: TokenArgument, trust: TrustOption, now: NowOption = None, as_json: JsonFlag = False
 ) -> int:
@@ -196,7 +187,6 @@ def verify_command(
     return 0 if in_time else 1
 
 
-@app.command("show")
 def show_command(token: TokenArgument, as_json: JsonFlag = False) -> int:
     """Print what a token says, without any claim that it is authentic."""
     opened = read_token(read_file(token))
@@ -207,7 +197,6 @@ def show_command(token: TokenArgument, as_json: JsonFlag = False) -> int:
     return 0
 
 
-@app.command("diff")
 def diff_command(
     old: TokenArgument,
     new: Annotated[Path, typer.Argument(help="The next version.")],

@@ -25,7 +25,7 @@ from authguard_r.cli.inputs import (
     read_mission,
     wall_now,
 )
-from authguard_r.cli.mission import TokenArgument, app
+from authguard_r.cli.mission import TokenArgument
 from authguard_r.cli.mission_files import beside_token, warn
 from authguard_r.cli.offline import CounterOption, NewOption, OfflineStore, offline
 from authguard_r.cli.signing_key import PassphraseFile, open_signer
@@ -77,7 +77,6 @@ class KnownOutcome(StrEnum):
 ORDER_MS = 120_000
 
 
-@app.command("issue")
 def issue_command(
     token: TokenArgument,
     trust: TrustOption,
@@ -95,7 +94,6 @@ def issue_command(
     return manage(place, lambda m: m.issue(data, confirmation=said), as_json=as_json)
 
 
-@app.command("activate")
 def activate_command(
     token: TokenArgument,
     trust: TrustOption,
@@ -160,11 +158,12 @@ def _order(verb: Verb) -> Callable[..., int]:
     return order
 
 
-for _verb in (Verb.REVOKE, Verb.COMPLETE, Verb.SUSPEND, Verb.RESUME):
-    app.command(str(_verb))(_order(_verb))
+revoke_command = _order(Verb.REVOKE)
+complete_command = _order(Verb.COMPLETE)
+suspend_command = _order(Verb.SUSPEND)
+resume_command = _order(Verb.RESUME)
 
 
-@app.command("resolve")
 def resolve_command(
     token: TokenArgument,
     trust: TrustOption,
@@ -190,7 +189,6 @@ def resolve_command(
     return manage(place, lambda m: m.command(signed), as_json=as_json)
 
 
-@app.command("choose")
 def choose_command(
     token: TokenArgument,
     trust: TrustOption,
@@ -359,6 +357,3 @@ def signed_order(
     verified = opened_mission(token, trust, template)
     signer = signer_of(verified.mission.issuer, trust, key, cert, passphrase_file)
     return _command(verified, signer, verb)
-
-
-__all__ = ["app", "signed_order"]

@@ -46,9 +46,6 @@ from authguard_r.site.model import Site
 from authguard_r.site.source import convert, read_text, read_yaml
 from authguard_r.wire.output import emit
 
-app = typer.Typer(
-    help="The organization's risk policy: what no operator can sign away.", no_args_is_help=True
-)
 SiteChoice = Annotated[Path, typer.Option("--site", help="The site, whose words it weighs.")]
 _DEFAULTS = """\
   region_tags: {hazardous: 60, private: 40, public: 0, restricted: 30, staff: 5}
@@ -71,8 +68,7 @@ class RiskPolicyForm(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     policy: DraftRisk
 
 
-@app.command("make")
-def make(
+def make_command(
     organization: Annotated[str, typer.Option("--organization", help="Whose policy it is.")],
     site: SiteChoice,
     out: Annotated[Path, typer.Option("--out", help="Where to write it.")],
@@ -88,8 +84,7 @@ def make(
     return 0
 
 
-@app.command("sign")
-def sign(
+def sign_command(
     file: Annotated[Path, typer.Argument(help="A policy as `make` wrote it (YAML).")],
     site: SiteChoice,
     key: Annotated[Path, typer.Option("--key", help="A site authority's or safety officer's.")],
@@ -105,8 +100,7 @@ def sign(
     return sign_kind(_KIND, policy, file, signer, trust=trust, out=out, yes=yes, as_json=as_json)
 
 
-@app.command("show")
-def show(
+def show_command(
     token: Annotated[Path, typer.Argument(help="A signed policy.")],
     trust: TrustChoice = None,
     now: NowOption = None,

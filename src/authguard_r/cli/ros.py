@@ -26,11 +26,9 @@ from authguard_r.wire.output import emit
 if TYPE_CHECKING:
     from authguard_r.integrations.ros.keycheck import KeystoreFault
 
-app = typer.Typer(help="ROS 2: the map, its keystore, and what they let through.")
 MapArgument = Annotated[Path, typer.Argument(metavar="MAP", help="The robot's ROS map.")]
 
 
-@app.command("keystore")
 def keystore_command(
     ros_map: MapArgument,
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A new or empty folder.")],
@@ -65,7 +63,6 @@ def keystore_command(
     return 0
 
 
-@app.command("check")
 def check_command(
     ros_map: MapArgument,
     keystore: Annotated[

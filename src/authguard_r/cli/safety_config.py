@@ -38,13 +38,11 @@ from authguard_r.site.source import convert, read_text, read_yaml
 from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.output import emit
 
-app = typer.Typer(help="A robot's signed safety configuration.", no_args_is_help=True)
 #: What makes no difference to what is safe.
 _LABELS = {"id", "version"}
 
 
-@app.command("make")
-def make(
+def make_command(
     site: SiteOption,
     robot: Annotated[str, typer.Option("--robot", help="The robot.")],
     out: Annotated[Path, typer.Option("--out", help="Where to write it.")],
@@ -57,8 +55,7 @@ def make(
     return 0
 
 
-@app.command("sign")
-def sign(
+def sign_command(
     file: Annotated[Path, typer.Argument(help="A configuration as `make` wrote it (YAML).")],
     site: SiteOption,
     key: Annotated[Path, typer.Option("--key", help="The safety officer's key.")],
@@ -89,8 +86,7 @@ def sign(
     )
 
 
-@app.command("show")
-def show(
+def show_command(
     token: Annotated[Path, typer.Argument(help="A signed configuration.")],
     trust: TrustChoice = None,
     now: NowOption = None,

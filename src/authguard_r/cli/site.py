@@ -42,9 +42,6 @@ from authguard_r.site.places import adjacent
 from authguard_r.site.signed import read_signed_site, sign_site
 from authguard_r.wire.output import emit
 
-app = typer.Typer(help="The site model: what every word of a mission means.", no_args_is_help=True)
-import_app = typer.Typer(help="A draft site from another program's file.", no_args_is_help=True)
-app.add_typer(import_app, name="import")
 SiteArgument = Annotated[Path, typer.Argument(help="The site model (YAML, or a signed token).")]
 ForeignArgument = Annotated[Path, typer.Argument(help="The file to import.")]
 OutOption = Annotated[Path, typer.Option("--out", help="Where to write the site (YAML).")]
@@ -54,8 +51,7 @@ IdOption = Annotated[
 FloorOption = Annotated[int, typer.Option("--floor", help="The floor that the file shows.")]
 
 
-@app.command("check")
-def check(site: SiteArgument, as_json: JsonFlag = False) -> int:
+def check_command(site: SiteArgument, as_json: JsonFlag = False) -> int:
     """Name every fault of a site model with its place."""
     model = claimed_site(site)
     found, left = faults(model), unreviewed(model)
@@ -75,8 +71,7 @@ def check(site: SiteArgument, as_json: JsonFlag = False) -> int:
     return 4 if found else 0
 
 
-@app.command("show")
-def show(
+def show_command(
     site: SiteArgument,
     svg: Annotated[
         Path | None, typer.Option("--svg", help="Also draw the map into this file.")
@@ -103,8 +98,7 @@ def show(
     return 0
 
 
-@app.command("diff")
-def diff(
+def diff_command(
     old: Annotated[Path, typer.Argument(help="The site as it was.")],
     new: Annotated[Path, typer.Argument(help="The site as it is to be.")],
     as_json: JsonFlag = False,
@@ -121,8 +115,7 @@ def diff(
     return 1 if found else 0
 
 
-@app.command("sign")
-def sign(
+def sign_command(
     site: SiteArgument,
     key: Annotated[Path, typer.Option("--key", help="The site authority's key.")],
     cert: Annotated[Path, typer.Option("--cert", help="The key's certificate chain.")],
@@ -140,8 +133,7 @@ def sign(
     return 0
 
 
-@app.command("verify")
-def verify(
+def verify_command(
     token: Annotated[Path, typer.Argument(help="A signed site model.")],
     trust: TrustOption,
     now: NowOption = None,
@@ -168,8 +160,7 @@ def verify(
     return 0
 
 
-@import_app.command("scene-graph")
-def scene_graph(
+def scene_graph_command(
     file: ForeignArgument,
     out: OutOption,
     radius: Annotated[
@@ -190,8 +181,7 @@ def scene_graph(
     return _written(proposal, file, out, as_json=as_json)
 
 
-@import_app.command("nav2-map")
-def nav2_map(
+def nav2_map_command(
     file: ForeignArgument,
     out: OutOption,
     min_area: Annotated[

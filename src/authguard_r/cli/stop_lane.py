@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`authguard stop-lane`: the process that serves stops and nothing else."""
+"""`authguard advanced stop-process`: the process that serves stops and nothing else."""
 
 from __future__ import annotations
 

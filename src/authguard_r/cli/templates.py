@@ -81,7 +81,6 @@ from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.site.source import read_text, read_yaml
 from authguard_r.wire.output import emit
 
-app = typer.Typer(help="Missions that are signed once and filled many times.", no_args_is_help=True)
 TemplateFile = Annotated[Path, typer.Argument(help="A template, compiled or signed.")]
 SignedTemplate = Annotated[Path, typer.Argument(help="A signed template.")]
 
@@ -102,7 +101,6 @@ def template_digest(template: Template) -> Digest:
     return digest_of(Tag.TEMPLATE, template)
 
 
-@app.command("compile")
 def compile_command(
     draft: Annotated[Path, typer.Argument(help="A template draft (YAML).")],
     site: SiteOption,
@@ -121,7 +119,6 @@ def compile_command(
     return 0
 
 
-@app.command("review")
 def review_command(template: TemplateFile, site: SiteOption, as_json: JsonFlag = False) -> int:
     """Show the card: every hole with all its values, and every mission that they make."""
     opened = read_template(template)
@@ -138,7 +135,6 @@ def review_command(template: TemplateFile, site: SiteOption, as_json: JsonFlag =
     return 0
 
 
-@app.command("sign")
 def sign_command(
     template: Annotated[Path, typer.Argument(help="A template as `compile` wrote it.")],
     key: IssuerKey,
@@ -194,7 +190,6 @@ def _read(template: Template, missions: tuple[Mission, ...], site: Path | None) 
     return SignerView(card=card, findings=lint_template(missions, model))
 
 
-@app.command("show")
 def show_command(template: TemplateFile, as_json: JsonFlag = False) -> int:
     """Print what a template says, without any claim that it is authentic."""
     opened = read_template(template)
@@ -211,7 +206,6 @@ def show_command(template: TemplateFile, as_json: JsonFlag = False) -> int:
     return 0
 
 
-@app.command("issue")
 def issue_command(
     template: SignedTemplate,
     trust: TrustOption,
@@ -235,7 +229,6 @@ def issue_command(
     return 0
 
 
-@app.command("admit")
 def admit_command(
     template: SignedTemplate,
     trust: TrustOption,
@@ -259,7 +252,6 @@ def admit_command(
     return _manage(place, act, as_json=as_json)
 
 
-@app.command("withdraw")
 def withdraw_command(
     template: SignedTemplate,
     trust: TrustOption,

@@ -13,11 +13,6 @@ import typer
 from authguard_r.cli.inputs import JsonFlag, wall_now
 from authguard_r.wire.output import emit
 
-app = typer.Typer(
-    help="A witness: cosigns a log's checkpoints, each only when it follows from the last.",
-    no_args_is_help=True,
-)
-
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The witness's folder.")]
 
 
@@ -28,7 +23,6 @@ class WitnessAlgorithm(StrEnum):
     ML_DSA_44 = "ml-dsa-44"
 
 
-@app.command("init")
 def init_command(
     folder: Folder,
     name: Annotated[
@@ -56,7 +50,6 @@ def init_command(
     return 0
 
 
-@app.command("add")
 def add_command(
     folder: Folder,
     log: Annotated[
@@ -83,7 +76,6 @@ def add_command(
     return 0
 
 
-@app.command("forget")
 def forget_command(
     folder: Folder,
     origin: Annotated[str, typer.Argument(metavar="ORIGIN", help="The log's name.")],
@@ -101,7 +93,6 @@ def forget_command(
     return 0
 
 
-@app.command("show")
 def show_command(folder: Folder, as_json: JsonFlag = False) -> int:
     """Show what a witness knows, what it refused, and what operators did; also while it serves."""
     from authguard_r.witness.state import read_acts, read_evidence, read_folder
@@ -126,7 +117,6 @@ def show_command(folder: Folder, as_json: JsonFlag = False) -> int:
     return 0
 
 
-@app.command("serve")
 def serve_command(
     folder: Folder,
     listen: Annotated[

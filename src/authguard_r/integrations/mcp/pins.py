@@ -95,7 +95,7 @@ def read_pins(path: Path) -> Pins:
     if found.schema == _OLD:
         raise MalformedError(
             "these pins do not hold all that a server says of its tools: write them anew with "
-            "`authguard mcp-tools --out`, and compare them",
+            "`authguard advanced mcp-tools --out`, and compare them",
             where=str(path),
             reason=Reason.SCHEMA_INVALID,
         )
