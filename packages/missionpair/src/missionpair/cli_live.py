@@ -12,7 +12,7 @@ import typer
 
 from missionpair import attackers, planners, registry
 from missionpair.campaign.run import CampaignPlan, run
-from missionpair.cli_report import report
+from missionpair.cli_report import report_command
 from missionpair.cli_run import JobsOption, shown, summary_of
 from missionpair.words import CONTROLS, Access, TrialKind
 
@@ -113,4 +113,4 @@ def _report(logs: list[Path], out: Path, *, quiet: bool) -> int:
     from io import StringIO
 
     with redirect_stdout(StringIO() if quiet else sys.stdout):
-        return report(logs, html=out / "report.html", csv=out / "csv", latex=out / "latex")
+        return report_command(logs, html=out / "report.html", csv=out / "csv", latex=out / "latex")

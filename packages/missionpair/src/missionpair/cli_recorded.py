@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -22,11 +23,8 @@ from missionpair.report.names import printable
 #: What recorded runs are judged by, where nothing else is said.
 DEFENSES = (NONE, "allowlist", "cedar", "both")
 
-imports = typer.Typer(name="import", help="Read what models did elsewhere.", no_args_is_help=True)
 
-
-@imports.command("agentdojo")
-def agentdojo(
+def agentdojo_command(
     source: Annotated[
         Path, typer.Argument(help="agentdojo-0.1.24.tar.gz from PyPI, or a folder of its contents.")
     ],
@@ -55,8 +53,8 @@ def agentdojo(
     return 0
 
 
-def _of_form(form: str, text: str) -> None:
-    """Add the command that reads logs of one form."""
+def _of_form(form: str, text: str) -> Callable[..., int]:
+    """Return the command that reads logs of one form."""
 
     def command(
         source: Annotated[Path, typer.Argument(help="The log: one reply a line, as JSON.")],
@@ -89,13 +87,13 @@ def _of_form(form: str, text: str) -> None:
         return 0
 
     command.__doc__ = text
-    imports.command(form)(command)
+    return command
 
 
-_of_form("steps", "Read replies that are lists of tool and arguments (`steps`).")
-_of_form("openai", "Read replies that are chat completions (`response`).")
-_of_form("mcp", "Read replies that are JSON-RPC requests `tools/call` (`calls`).")
-_of_form("langchain", "Read replies that are LangChain messages (`messages`).")
+steps_command = _of_form("steps", "Read replies that are lists of tool and arguments (`steps`).")
+openai_command = _of_form("openai", "Read replies that are chat completions (`response`).")
+mcp_command = _of_form("mcp", "Read replies that are JSON-RPC requests `tools/call` (`calls`).")
+langchain_command = _of_form("langchain", "Read replies that are LangChain messages (`messages`).")
 
 
 def recorded_command(

@@ -38,7 +38,7 @@ PartialFlag = Annotated[
 ]
 
 
-def report(
+def report_command(
     logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Logs of campaigns.")],
     html: Annotated[
         Path | None, typer.Option("--html", help="Write one page that needs nothing.")
@@ -74,7 +74,7 @@ def report(
     return 0
 
 
-def compare(
+def compare_command(
     first: Annotated[Path, typer.Argument(metavar="LOG", help="A campaign's log.")],
     second: Annotated[Path, typer.Argument(metavar="LOG", help="Another campaign's.")],
     anyway: Annotated[bool, typer.Option("--anyway", help="Also where the suites differ.")] = False,

@@ -20,7 +20,7 @@ from missionpair.measures.demands import Demand, demands
 from missionpair.words import TrialKind
 
 
-def require(
+def require_command(
     logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Logs of campaigns.")],
     defense: Annotated[
         list[str] | None, typer.Option("--defense", help="Of which (both); may be repeated.")
