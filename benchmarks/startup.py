@@ -63,7 +63,7 @@ def main() -> int:
     for name in slowest[:10]:
         print(f"  {medians[name]:.2f} s  {medians[name] / alone:.1f} x  {name}")
     if asked.json is not None:
-        told = {"machine": machine.described(), "parser_s": alone, "help_s": medians}
+        told = {"machine": machine.describe(Path.cwd()), "parser_s": alone, "help_s": medians}
         asked.json.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
     return int(asked.require is not None and medians[slowest[0]] > asked.require)
 

@@ -100,7 +100,7 @@ def test_a_store_that_really_was_put_back_is_still_recorded(shell: Shell, counte
 
 
 def gate_words(config: str, *more: str) -> tuple[str, ...]:
-    on = ("--demo", "--simulate", "--robot", scenarios.RID, "--trust", "trust", "--run", "run")
+    on = ("--demo", "--simulate", "--robot", scenarios.RID, "--trust", "trust", "--gate", "run")
     return ("gate", *on, *SITE, "--binding", "h/binding.yaml", "--config", config, *more)
 
 

@@ -184,7 +184,7 @@ def test_a_group_denies(desk: Desk) -> None:
     for name in ("ana", "cho"):
         desk.done(*share_words(name, signers), "--yes")
     desk.done(*aggregate_words("ana", "cho", signers=signers))
-    told = desk.done("advanced", "frost", "submit", "a.token", *place, "--why", "not today")
+    told = desk.done("advanced", "frost", "submit", "a.token", *place, "--reason", "not today")
     assert told["verdict"] == "deny"
     code, said = run(desk)
     assert (code, said["steps"][0]["reasons"]) == (1, ["APPROVAL_DENIED"])
@@ -357,7 +357,7 @@ def finish_words(name: str, seen: list[str]) -> list[str]:
         word
         for other in PEOPLE
         if other != name
-        for word in ("--from", f"s/{other}-to-{name}.json")
+        for word in ("--contribution", f"s/{other}-to-{name}.json")
     ]
     own = ["--secret", f"{name}/secret.json", *seen, *given, "--out", name]
     return ["advanced", "frost", "dkg", "finish", *own]

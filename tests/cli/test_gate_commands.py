@@ -100,7 +100,7 @@ class Shell:
 @pytest.fixture
 def shell(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any) -> Shell:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("AUTHGUARD_RUN", raising=False)
+    monkeypatch.delenv("AUTHGUARD_GATE", raising=False)
     shutil.copytree(scenarios.HOSPITAL, tmp_path / "h")
     shutil.copytree(scenarios.trust_folder(), tmp_path / "trust")
     for path in (tmp_path / "trust" / "keys").glob(f"*{scenarios.OTHER}*"):
@@ -155,7 +155,9 @@ EVENTS: list[dict[str, Any]] = [
 # --- status
 
 
-@pytest.mark.parametrize("way", ["folder", "socket", "other socket", "environment"])
+@pytest.mark.parametrize(
+    "way", ["folder", "socket", "other socket", "environment", "old environment"]
+)
 def test_the_gate_is_found_by_its_folder_its_socket_or_the_environment(
     shell: Shell, way: str, monkeypatch: Any
 ) -> None:
@@ -165,8 +167,10 @@ def test_the_gate_is_found_by_its_folder_its_socket_or_the_environment(
             with socket.socket(socket.AF_UNIX) as lane:
                 lane.bind(str(named[way]))
         if way == "environment":
+            monkeypatch.setenv("AUTHGUARD_GATE", str(path.parent))
+        if way == "old environment":  # for one version
             monkeypatch.setenv("AUTHGUARD_RUN", str(path.parent))
-        on = [] if way == "environment" else ["--gate", named[way]]
+        on = ["--gate", named[way]] if way in named else []
         assert shell.json("status", *on) == (0, STATUS)
 
 
@@ -287,7 +291,7 @@ def test_the_deployed_units_put_a_gate_where_commands_look() -> None:
     for name in ("authguard-gate@.service", "authguard-stop-lane@.service"):
         text = (units / name).read_text()
         assert f"RuntimeDirectory={RUNS.name}/%i\n" in text
-        assert f"--run {RUNS}/%i\n" in text
+        assert f"--gate {RUNS}/%i\n" in text
 
 
 @pytest.mark.parametrize("command", ["status", "watch", "stop", "explain", "metrics"])
@@ -411,7 +415,7 @@ def test_stop_goes_through_the_lane_and_says_whether_the_robot_stands(
     monkeypatch.setattr(stopping, "GONE_S", 0.2)
     seen: list[Any] = []
     with listening(serving({Kind.STOP: said}, seen), "stop.sock") as path:
-        got, text = shell("stop", "--gate", path.parent, "--why", "a child")
+        got, text = shell("stop", "--gate", path.parent, "--reason", "a child")
         assert (got, words in text) == (code, True)
         told = {**said, "role": "operator"}
         assert shell.json("stop", "--gate", path.parent) == (code, told)
@@ -621,7 +625,7 @@ def test_a_run_folder_that_is_a_file_is_said_to_be_one(shell: Shell, command: st
         "robot": tuple(SITE),
         "estimator": signer,
     }[command]
-    on = ("--robot", scenarios.RID, "--trust", "trust", "--run", "file")
+    on = ("--robot", scenarios.RID, "--trust", "trust", "--gate", "file")
     code, reason, message = shell.refused(*command.split(), *on, *words)
     assert (code, reason) == (5, "STORE_UNAVAILABLE")
     assert "expected a folder" in message

@@ -98,7 +98,7 @@ def test_a_stop_in_mid_motion_then_a_signed_resume(session: Desk) -> None:
     moving = threading.Thread(target=lambda: told.append(planner.propose(COLLECT, key="one")))
     moving.start()
     until(lambda: session.status()["leases"], "the motion")
-    code, stopped = session.json("stop", *session.at, "--why", "a child")
+    code, stopped = session.json("stop", *session.at, "--reason", "a child")
     assert (code, stopped["stopped"], stopped["controller"]) == (0, True, True)
     moving.join(60)
     assert [step["execution"]["outcome"] for step in told[0]["steps"]] == ["aborted"]

@@ -388,7 +388,7 @@ def test_a_key_in_hardware_gets_its_certificate_by_request(shell: Shell, tmp_pat
         assert shell("keys", "issue", "auth", told["request"], "--yes")[0] == 0
         root = shell.json("keys", "show", "auth")[1]
         assert root["demo"] is False
-        answer = ["op/operator-1.answer.json", "--dir", "op/trust", "--cert", "op/o.cert.pem"]
+        answer = ["op/operator-1.answer.json", "--trust", "op/trust", "--cert", "op/o.cert.pem"]
         anchor = read_trust(Path("auth"))
         named = ["--root", fingerprint(anchor.roots), "--request", told["request"]]
         assert shell("keys", "install", *answer, *key, *named)[0] == 0

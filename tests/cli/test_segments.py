@@ -33,7 +33,7 @@ GO = scenarios.navigate("dock", "pharmacy")
 SCAN = "scan_obstacles"
 #: Records of the log, its first segment's end, and the end of the second.
 SIZE, FIRST, SECOND = 1_899, 1_024, 1_536
-KEY = ("--key", log_keys()[0].text())
+KEY = ("--log-key", log_keys()[0].text())
 
 
 def made(path: Path) -> None:
@@ -257,7 +257,7 @@ def test_a_segment_that_another_key_signed_is_refused(
 ) -> None:
     key = log_keys()[0]
     forged = type(key)("authguard-r/another/audit", key.kind, key.public)
-    code, text = said(capsys, "segments", kept, "--key", forged.text())
+    code, text = said(capsys, "segments", kept, "--log-key", forged.text())
     assert code == 4
     assert "SIGNATURE_MISSING" in text
 

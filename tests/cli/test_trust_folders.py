@@ -62,7 +62,7 @@ def member(shell: Shell, name: str = "op") -> None:
 def install(shell: Shell, name: str = "op", *more: object) -> tuple[int, str]:
     root = fingerprint(read_trust(Path("auth")).roots)
     words = (f"{name}/operator-1.answer.json", "--key", f"{name}/operator-1.key.pem")
-    return shell("keys", "install", *words, "--dir", f"{name}/trust", "--root", root, *more)
+    return shell("keys", "install", *words, "--trust", f"{name}/trust", "--root", root, *more)
 
 
 def numbers(folder: str) -> dict[str, int]:

@@ -88,7 +88,7 @@ def asked(
     gate: RunningGate, *calls: tuple[str, dict[str, Any]]
 ) -> tuple[list[str], list[types.CallToolResult]]:
     """Return the tools that a client is shown, and what it is answered to each call."""
-    words = ["mcp", "--robot", gate.rid, "--run", gate.run, "--site", gate.site]
+    words = ["mcp", "--robot", gate.rid, "--gate", gate.run, "--site", gate.site]
     words += ["--binding", "ros-mcp", "--trust", gate.trust, "--", BIN / SERVER[0], *SERVER[1:]]
     server = StdioServerParameters(command=str(AUTHGUARD), args=[str(word) for word in words])
 

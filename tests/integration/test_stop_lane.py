@@ -379,7 +379,7 @@ def test_a_second_lane_is_refused_with_its_reason(files: EStopFiles) -> None:
             "stop-process",
         ]
         for name in ("run", "robot", "trust", "key", "cert", "config"):
-            words += [f"--{name}", str(getattr(files, name))]
+            words += [f"--{'gate' if name == 'run' else name}", str(getattr(files, name))]
         second = subprocess.run([*words, "--json"], capture_output=True, check=False)
         assert second.returncode == 5
         error = json.loads(second.stdout)["error"]

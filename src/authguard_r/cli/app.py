@@ -180,6 +180,9 @@ AUTHGUARD: Final = Program(
             *("emergency", "recover", "metrics", "advanced"),
         ),
     },
+    services=frozenset(
+        {"gate", "robot", "estimator", "mcp", "serve", "advanced stop-process", "witness serve"}
+    ),
     renamed={
         "mission lint": "mission check",
         "emergency policy lint": "emergency policy check",
@@ -188,6 +191,21 @@ AUTHGUARD: Final = Program(
         "revocations": "advanced revocations",
         "mcp-tools": "advanced mcp-tools",
         "stop-lane": "advanced stop-process",
+    },
+    renamed_options={
+        **{
+            command: {"--run": "--gate"}
+            for command in ("doctor", "gate", "mcp", "serve", "robot", "estimator", "advanced")
+        },
+        "stop": {"--why": "--reason"},
+        "advanced frost submit": {"--why": "--reason"},
+        "advanced frost dkg finish": {"--from": "--contribution"},
+        "audit show": {"--from": "--first", "--to": "--last", "--reason": "--code"},
+        "audit replay": {"--from": "--first"},
+        "audit verify": {"--key": "--log-key"},
+        "audit segments": {"--key": "--log-key"},
+        "emergency call": {"--key": "--call"},
+        "keys install": {"--dir": "--trust"},
     },
 )
 

@@ -19,7 +19,7 @@ from authguard_r.authoring.compile.request import action_line, brief, card
 from authguard_r.cli.ask import confirm_shown
 from authguard_r.cli.gateway import GateOption, ProofOption, ReadingRole, RoleOption, connected
 from authguard_r.cli.inputs import JsonFlag, load_site
-from authguard_r.cli.signing_key import PassphraseFile, open_signer
+from authguard_r.cli.signing_key import CertOption, KeyOption, PassphraseFile, open_signer
 from authguard_r.cli.watch import ENDED, event_line
 from authguard_r.client import GateClient
 from authguard_r.client.approvals import ShownRequest, shown
@@ -31,10 +31,9 @@ from authguard_r.wire.approval_request import Question
 from authguard_r.wire.output import emit, printed
 
 CounterArgument = Annotated[int, typer.Argument(help="The request's number.", min=1)]
-KeyChoice = Annotated[Path, typer.Option("--key", help="The approver's key.")]
-CertChoice = Annotated[Path, typer.Option("--cert", help="The key's certificate chain.")]
 SiteChoice = Annotated[
-    Path | None, typer.Option("--site", help="The site model, for units and marks.")
+    Path | None,
+    typer.Option("--site", envvar="AUTHGUARD_SITE", help="The site model, for units and marks."),
 ]
 YesFlag = Annotated[bool, typer.Option("--yes", help="Do not ask; for scripts.")]
 
@@ -75,8 +74,8 @@ def show_command(
 
 def approve_command(
     counter: CounterArgument,
-    key: KeyChoice,
-    cert: CertChoice,
+    key: KeyOption,
+    cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     gate: GateOption = None,
     trust: ProofOption = None,
@@ -100,11 +99,11 @@ def approve_command(
 
 def deny_command(
     counter: CounterArgument,
-    key: KeyChoice,
-    cert: CertChoice,
+    key: KeyOption,
     reason: Annotated[
         str, typer.Option("--reason", help="Why; for the log alone, no planner hears of it.")
     ],
+    cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     gate: GateOption = None,
     trust: ProofOption = None,

@@ -96,7 +96,7 @@ _KeyOption = Annotated[
     Path | None, typer.Option("--key", help="A private key, the gate's or one's own.")
 ]
 _CertOption = Annotated[Path | None, typer.Option("--cert", help="The key's certificates.")]
-_RunOption = Annotated[Path | None, typer.Option("--run", help="The folder of the gate's sockets.")]
+_RunOption = Annotated[Path | None, typer.Option("--gate", help="The gate's run folder.")]
 _CounterOption = Annotated[
     Path | None, typer.Option("--counter", help="The outside counter's file.")
 ]

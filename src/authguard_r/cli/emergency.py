@@ -17,10 +17,9 @@ from msgspec import Struct, to_builtins
 from authguard_r.authoring.compile.draft import Quantity
 from authguard_r.authoring.compile.units import to_integer
 from authguard_r.cli.gateway import GateOption, ProofOption, ReadingRole, connected
-from authguard_r.cli.inputs import JsonFlag, NowOption, SiteOption, load_site, wall_now
-from authguard_r.cli.orders import signer_of
+from authguard_r.cli.inputs import JsonFlag, NowOption, SiteOption, TrustOption, load_site, wall_now
 from authguard_r.cli.signed_kinds import OutOption, SignedKind, YesOption, sign_kind
-from authguard_r.cli.signing_key import PassphraseFile
+from authguard_r.cli.signing_key import CertOption, OrderKeyOption, PassphraseFile, signer_of
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import (
@@ -134,9 +133,9 @@ def check_command(file: FileArgument, site: SiteOption, as_json: JsonFlag = Fals
 def sign_command(
     file: FileArgument,
     site: SiteOption,
-    trust: Annotated[Path, typer.Option("--trust", help="The trust folder.")],
-    key: Annotated[Path | None, typer.Option("--key", help="The safety officer's key.")] = None,
-    cert: Annotated[Path | None, typer.Option("--cert", help="Its certificates.")] = None,
+    trust: TrustOption,
+    key: OrderKeyOption = None,
+    cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     out: OutOption = None,
     yes: YesOption = False,
@@ -177,7 +176,7 @@ def call_command(
     capability: Annotated[str, typer.Argument(help="The capability's id.")],
     gate: GateOption = None,
     trust: ProofOption = None,
-    key: Annotated[str | None, typer.Option("--key", help="Names the call.")] = None,
+    key: Annotated[str | None, typer.Option("--call", help="Names the call.")] = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Call a capability of the gate's emergency policy, as an operator; wait for its end."""

@@ -3,14 +3,19 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from authguard_r.cli.inputs import JsonFlag, TrustOption, wall_now
 from authguard_r.cli.robot import RunOption
-from authguard_r.cli.signing_key import PassphraseFile, open_signer
+from authguard_r.cli.signing_key import (
+    CertOption,
+    KeyOption,
+    PassphraseFile,
+    certificate_of,
+    open_signer,
+)
 from authguard_r.core.identifiers import RobotId, is_identifier
 from authguard_r.keys.key_access import require_estimator
 from authguard_r.keys.trust import read_trust
@@ -21,8 +26,8 @@ def estimator_command(
     robot: Annotated[str, typer.Option("--robot", help="Whose state it attests.")],
     run: RunOption,
     trust: TrustOption,
-    key: Annotated[Path, typer.Option("--key", help="The estimator's private key.")],
-    cert: Annotated[Path, typer.Option("--cert", help="Its certificate.")],
+    key: KeyOption,
+    cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     rate: Annotated[
         int, typer.Option("--rate", min=1, max=200, help="Most snapshots in a second.")
@@ -35,6 +40,7 @@ def estimator_command(
     if not is_identifier(robot):
         raise typer.BadParameter("expected an identifier", param_hint="--robot")
     rid = RobotId(robot)
+    cert = certificate_of(key, cert)
     signer = open_signer(key, cert, passphrase_file)
     require_estimator(signer, read_trust(trust), rid, wall_now(None), where=cert)
 

@@ -107,7 +107,8 @@ def finish_command(
     secret: SecretFile,
     offer: OfferFiles,
     contribution: Annotated[
-        list[Path], typer.Option("--from", help="A contribution made for you; repeat for each.")
+        list[Path],
+        typer.Option("--contribution", help="Each contribution made for you; repeatable."),
     ],
     out: OutFolder,
     as_json: JsonFlag = False,
@@ -258,7 +259,7 @@ def aggregate_command(
 
 def submit_command(
     token: Annotated[Path, typer.Argument(help="An approval token.")],
-    why: Annotated[str, typer.Option("--why", help="For the log; no planner hears of it.")] = "",
+    why: Annotated[str, typer.Option("--reason", help="For the log; no planner hears of it.")] = "",
     gate: GateOption = None,
     trust: TrustChoice = None,
     site: SiteChoice = None,

@@ -31,7 +31,7 @@ _ConfigOption = Annotated[
     Path, typer.Option("--config", help="The signed gate configuration (`gate-config`).")
 ]
 _StoreOption = Annotated[Path, typer.Option("--store", help="The robot's store; made if absent.")]
-_RunOption = Annotated[Path, typer.Option("--run", help="The run folder, for the sockets.")]
+_RunOption = Annotated[Path, typer.Option("--gate", help="The run folder, for the sockets.")]
 _KeyOption = Annotated[
     Path | None, typer.Option("--key", help="The gate's key (default: the demo folder's).")
 ]
@@ -171,7 +171,7 @@ def _make_run(run: Path) -> None:
         raise EnvironmentFault(
             f"expected a folder for sockets, got `{run}`",
             reason=Reason.STORE_UNAVAILABLE,
-            where="--run",
+            where="--gate",
         )
     run.mkdir(parents=True, exist_ok=True, mode=0o750)
 

@@ -40,7 +40,6 @@ from authguard_r.cli.readers_form import (
     written_readers,
 )
 from authguard_r.cli.signed_kinds import (
-    CertOption,
     OutOption,
     SignedKind,
     TrustChoice,
@@ -48,7 +47,7 @@ from authguard_r.cli.signed_kinds import (
     show_kind,
     sign_kind,
 )
-from authguard_r.cli.signing_key import PassphraseFile, open_signer
+from authguard_r.cli.signing_key import CertOption, KeyOption, PassphraseFile, open_signer
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.core.identifiers import Positive, RobotId
@@ -197,8 +196,8 @@ def make_command(
 
 def sign_command(
     file: Annotated[Path, typer.Argument(help="A configuration as `make` wrote it (YAML).")],
-    key: Annotated[Path, typer.Option("--key", help="The site authority's key.")],
-    cert: CertOption,
+    key: KeyOption,
+    cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     out: OutOption = None,
     trust: TrustChoice = None,

@@ -117,7 +117,7 @@ def _trial(out: Path, parts: str, robot: str) -> list[str]:
     """Return the commands of a gate that judges and records, and releases nothing."""
     trust, config = f"--trust {out / 'trust'}", out / "gate.token"
     make = f"--demo --mode shadow --robot {robot} {trust} --out {config}"
-    serve = f"--config {config} --store {out / 'robot.db'} --run {out / 'run'}"
+    serve = f"--config {config} --store {out / 'robot.db'} --gate {out / 'run'}"
     return [
         f"  authguard gate-config make {make}",
         f"  authguard doctor {out}",

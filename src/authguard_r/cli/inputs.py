@@ -41,9 +41,15 @@ MAX_CONTEXT = 1 << 24
 
 JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")]
 SiteOption = Annotated[
-    Path, typer.Option("--site", help="The site model (YAML, or a signed token).")
+    Path,
+    typer.Option(
+        "--site", envvar="AUTHGUARD_SITE", help="The site model (YAML, or a signed token)."
+    ),
 ]
-TrustOption = Annotated[Path, typer.Option("--trust", help="The trust folder (`keys init`).")]
+TrustOption = Annotated[
+    Path,
+    typer.Option("--trust", envvar="AUTHGUARD_TRUST", help="The trust folder (`keys init`)."),
+]
 TokenOption = Annotated[Path, typer.Option("--token", help="A signed mission.")]
 BindingOption = Annotated[
     Path,

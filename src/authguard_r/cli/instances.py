@@ -13,7 +13,13 @@ from authguard_r.authoring.compile.units import to_integer
 from authguard_r.cli.inputs import JsonFlag, NowOption, wall_now
 from authguard_r.cli.mission_files import mission_digest, warn
 from authguard_r.cli.sign import trust_folder_of
-from authguard_r.cli.signing_key import PassphraseFile, open_signer
+from authguard_r.cli.signing_key import (
+    CertOption,
+    KeyOption,
+    PassphraseFile,
+    certificate_of,
+    open_signer,
+)
 from authguard_r.cli.templates import SignedTemplate, read_template, template_digest
 from authguard_r.core.encoding import b64
 from authguard_r.core.errors import RefusedError
@@ -37,8 +43,8 @@ from authguard_r.wire.output import emit
 
 def sign_command(
     template: SignedTemplate,
-    key: Annotated[Path, typer.Option("--key", help="The scheduler's key.")],
-    cert: Annotated[Path, typer.Option("--cert", help="The key's certificate chain.")],
+    key: KeyOption,
+    cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     fill: Annotated[
         list[str] | None, typer.Option("--fill", help="hole=value, one for every hole.")
@@ -59,7 +65,7 @@ def sign_command(
 ) -> int:
     """Fill every hole with a value of its set, and sign; no question is asked."""
     opened, signer = read_template(template), open_signer(key, cert, passphrase_file)
-    _require_bound(opened, signer, trust_folder_of(trust, cert))
+    _require_bound(opened, signer, trust_folder_of(trust, certificate_of(key, cert)))
     at = wall_now(now)
     length = opened.for_ms if lasts is None else to_integer(lasts, "ms", where="--for")
     instance = Instance(

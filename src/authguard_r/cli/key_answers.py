@@ -25,16 +25,16 @@ from authguard_r.authoring.keys.revoking import signing_here
 from authguard_r.authoring.keys.setup import AUTHORITIES, init_folder, read_key, write_revocations
 from authguard_r.cli.ask import confirm_shown
 from authguard_r.cli.inputs import JsonFlag, load_site, wall_now
-from authguard_r.cli.key_requests import (
+from authguard_r.cli.key_requests import card_of, wanted_json, wanted_of
+from authguard_r.cli.signing_key import (
     CERTIFICATE_END,
     KEY_END,
     REQUEST_END,
     KeyOption,
-    card_of,
-    wanted_json,
-    wanted_of,
+    PassphraseFile,
+    open_signer,
+    passphrase_of,
 )
-from authguard_r.cli.signing_key import PassphraseFile, open_signer, passphrase_of
 from authguard_r.core.errors import AuthenticityError, RefusedError
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.algorithms import Algorithm
@@ -150,7 +150,7 @@ def issue_command(
 def install_command(
     answer: Annotated[Path, typer.Argument(help="The authority's answer.")],
     key: KeyOption,
-    folder: Annotated[Path, typer.Option("--dir", help="The trust folder; made when absent.")],
+    folder: Annotated[Path, typer.Option("--trust", help="The trust folder; made when absent.")],
     root: Annotated[
         str | None, typer.Option("--root", help="The root's fingerprint, as the authority says it.")
     ] = None,

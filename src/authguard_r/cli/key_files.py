@@ -11,6 +11,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.signing_key import (
+    KeyOption,
     PassphraseFile,
     ask_new_passphrase,
     open_keys,
@@ -67,7 +68,7 @@ def unprotect_command(
 
 
 def public_command(
-    key: Annotated[Path, typer.Option("--key", help="A key file, or a `pkcs11:` URI.")],
+    key: KeyOption,
     passphrase_file: PassphraseFile = None,
     out: Annotated[Path | None, typer.Option("--out", help="Where to write it.")] = None,
     as_json: JsonFlag = False,

@@ -23,7 +23,16 @@ from authguard_r.authoring.keys.request import (
     open_request,
 )
 from authguard_r.cli.inputs import JsonFlag, TrustOption, load_site, wall_now
-from authguard_r.cli.signing_key import PassphraseFile, open_keys, open_signer
+from authguard_r.cli.signing_key import (
+    KEY_END,
+    REQUEST_END,
+    CertOption,
+    KeyOption,
+    PassphraseFile,
+    certificate_of,
+    open_keys,
+    open_signer,
+)
 from authguard_r.cli.templates import read_template, template_digest
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.identifiers import Digest, PrincipalId, RegionId, RobotId, is_identifier
@@ -35,8 +44,6 @@ from authguard_r.keys.signer import FileSigner
 from authguard_r.keys.trust import ROOT_LISTS, pairs, read_certificates, read_trust
 from authguard_r.site.model import profile_digest
 from authguard_r.wire.output import emit
-
-KEY_END, CERTIFICATE_END, REQUEST_END = ".key.pem", ".cert.pem", ".request.json"
 
 
 class Choice(StrEnum):
@@ -53,7 +60,6 @@ AlgorithmOption = Annotated[
     Choice,
     typer.Option("--algorithm", help="`hybrid`: an Ed25519 and an ML-DSA-65 key, both sign."),
 ]
-KeyOption = Annotated[Path, typer.Option("--key", help="The private key.")]
 
 
 def chosen(choice: Choice) -> tuple[Algorithm, ...]:
@@ -173,9 +179,9 @@ def _profile(role: Role, robots: list[str], site: Path | None) -> Digest | None:
 
 def rotate_command(
     key: KeyOption,
-    cert: Annotated[Path, typer.Option("--cert", help="Its certificates.")],
     trust: TrustOption,
     out: Annotated[Path, typer.Option("--out", help="The folder for key and request.")],
+    cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     as_json: JsonFlag = False,
 ) -> int:
@@ -187,7 +193,7 @@ def rotate_command(
     anchor, now = read_trust(trust), wall_now(None)
     leaves = [
         anchor.identify(tuple(c.public_bytes(Encoding.DER) for c in chain), now)
-        for chain in pairs(read_certificates(cert, most=2 * len(ROOT_LISTS)))
+        for chain in pairs(read_certificates(certificate_of(key, cert), most=2 * len(ROOT_LISTS)))
     ]
     leaf = leaves[0]
     if leaf.members:

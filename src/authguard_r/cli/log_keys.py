@@ -27,7 +27,7 @@ def key_command(
     ] = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Print the verifier keys of a robot's log, for `audit verify --key` on another machine.
+    """Print the verifier keys of a robot's log, for `audit verify --log-key` on another machine.
 
     A set-up with two roots has two keys, and every checkpoint is signed with both.
     """

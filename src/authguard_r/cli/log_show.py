@@ -172,15 +172,15 @@ def show_command(
         str | None, typer.Option("--client", help="Only what this client or person did.")
     ] = None,
     reason: Annotated[
-        str | None, typer.Option("--reason", help="Only records with this reason code.")
+        str | None, typer.Option("--code", help="Only records with this reason code.")
     ] = None,
     since: Annotated[
         str | None, typer.Option("--since", help="Not before, 2026-01-31T14:30:00Z.")
     ] = None,
     until: Annotated[str | None, typer.Option("--until", help="Not after.")] = None,
-    first: Annotated[int, typer.Option("--from", help="The first record's number.", min=0)] = 0,
+    first: Annotated[int, typer.Option("--first", help="The first record's number.", min=0)] = 0,
     last: Annotated[
-        int | None, typer.Option("--to", help="The last record's number.", min=0)
+        int | None, typer.Option("--last", help="The last record's number.", min=0)
     ] = None,
     reader: ReaderOption = None,
     passphrase_file: PassphraseFile = None,
@@ -188,7 +188,7 @@ def show_command(
 ) -> int:
     """Print the log as a timeline: who, what, from where to where, what was said, how it ended."""
     if reason is not None and reason not in _REASONS:
-        raise typer.BadParameter(f"`{reason}` is no reason code", param_hint="--reason")
+        raise typer.BadParameter(f"`{reason}` is no reason code", param_hint="--code")
     wanted = RecordFilter(
         kind=kind,
         refused=refused,

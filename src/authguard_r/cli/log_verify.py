@@ -50,7 +50,9 @@ _CheckpointOption = Annotated[
 ]
 _KeyOption = Annotated[
     list[str] | None,
-    typer.Option("--key", help="The log's verifier key (`audit key`); all that are named sign."),
+    typer.Option(
+        "--log-key", help="The log's verifier key (`audit key`); all that are named sign."
+    ),
 ]
 _WitnessOption = Annotated[
     list[str] | None,
@@ -101,7 +103,7 @@ def verify_command(
         raise typer.BadParameter("expected at least as many witnesses", param_hint="--quorum")
     asked = AnchorOptions(
         kept=tuple(checkpoint or ()),
-        keys=tuple(read_key(text, where="--key") for text in key or ()),
+        keys=tuple(read_key(text, where="--log-key") for text in key or ()),
         witnesses=tuple(read_key(text, where="--witness") for text in witness or ()),
         quorum=quorum or len(witness or ()),
         trust=trust,

@@ -20,7 +20,7 @@ from authguard_r.keys.trust import read_trust
 from authguard_r.normalize.dialects import Call
 from authguard_r.wire.output import emit
 
-RunOption = Annotated[Path, typer.Option("--run", help="The gate's run folder.")]
+RunOption = Annotated[Path, typer.Option("--gate", help="The gate's run folder.")]
 
 
 _ServerArgument = Annotated[

@@ -11,12 +11,12 @@ import typer
 
 from authguard_r.anchoring.evidence import Discrepancy
 from authguard_r.cli.gateway import GateOption, ProofOption, ReadingRole, RoleOption, connected
-from authguard_r.cli.inputs import JsonFlag
+from authguard_r.cli.inputs import JsonFlag, TrustOption
 from authguard_r.cli.log_explain import DraftOption, explained, write_change
 from authguard_r.cli.log_reading import strange
 from authguard_r.cli.mission import TokenArgument
-from authguard_r.cli.orders import CertOption, KeyOption, TemplateOption, signed_order
-from authguard_r.cli.signing_key import PassphraseFile
+from authguard_r.cli.orders import TemplateOption, signed_order
+from authguard_r.cli.signing_key import CertOption, OrderKeyOption, PassphraseFile
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.store.sqlite import read_rows
@@ -118,9 +118,9 @@ def status_lines(status: dict[str, Any]) -> list[str]:
 
 def resume_command(
     token: TokenArgument,
-    trust: Annotated[Path, typer.Option("--trust", help="The trust folder (`keys init`).")],
+    trust: TrustOption,
     gate: GateOption = None,
-    key: KeyOption = None,
+    key: OrderKeyOption = None,
     cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     template: TemplateOption = None,

@@ -28,7 +28,7 @@ from authguard_r.cli.inputs import (
 from authguard_r.cli.mission import TokenArgument
 from authguard_r.cli.mission_files import beside_token, warn
 from authguard_r.cli.offline import CounterOption, NewOption, OfflineStore, offline
-from authguard_r.cli.signing_key import PassphraseFile, open_signer
+from authguard_r.cli.signing_key import CertOption, OrderKeyOption, PassphraseFile, signer_of
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.identifiers import Digest, GrantId
 from authguard_r.core.mission import Mission
@@ -37,18 +37,16 @@ from authguard_r.core.token import VerifiedMission, read_token, sign_object
 from authguard_r.enforcement.inputs import ISSUER_ROLES
 from authguard_r.enforcement.signed_orders import Command, Verb
 from authguard_r.enforcement.templates import instantiate, open_template
-from authguard_r.keys.signer import FileSigner, folder_signer
+from authguard_r.keys.signer import FileSigner
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.site import formatting
 from authguard_r.site.model import Site
 from authguard_r.wire.output import emit
 
 T = TypeVar("T")
-StoreOption = Annotated[Path, typer.Option("--store", help="The robot's store.")]
-KeyOption = Annotated[
-    Path | None, typer.Option("--key", help="Who gives the order (default: the demo issuer).")
+StoreOption = Annotated[
+    Path, typer.Option("--store", envvar="AUTHGUARD_STORE", help="The robot's store.")
 ]
-CertOption = Annotated[Path | None, typer.Option("--cert", help="The key's certificate chain.")]
 RobotOption = Annotated[
     str | None, typer.Option("--robot", help="Which gate of the folder this store is of.")
 ]
@@ -135,7 +133,7 @@ def _order(verb: Verb) -> Callable[..., int]:
         trust: TrustOption,
         site: SiteOption,
         store: StoreOption,
-        key: KeyOption = None,
+        key: OrderKeyOption = None,
         cert: CertOption = None,
         passphrase_file: PassphraseFile = None,
         robot: RobotOption = None,
@@ -171,7 +169,7 @@ def resolve_command(
     store: StoreOption,
     ticket: Annotated[str, typer.Option("--ticket", help="The open release.")],
     outcome: Annotated[KnownOutcome, typer.Option("--outcome", help="What became of it.")],
-    key: KeyOption = None,
+    key: OrderKeyOption = None,
     cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     robot: RobotOption = None,
@@ -198,7 +196,7 @@ def choose_command(
     row: Annotated[
         int, typer.Option("--row", help="Its number, from 0, as `review` shows it.", min=0)
     ],
-    key: KeyOption = None,
+    key: OrderKeyOption = None,
     cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     robot: RobotOption = None,
@@ -293,21 +291,6 @@ def opened_mission(token: Path, trust: Path, template: Path | None) -> VerifiedM
         raise typer.BadParameter("an instance needs its template", param_hint="--template")
     held = open_template(read_file(template), verifier=anchor, now=at, roles=ISSUER_ROLES)
     return instantiate(read_file(token), held, verifier=anchor, now=at).mission
-
-
-def signer_of(
-    issuer: str,
-    trust: Path,
-    key: Path | None,
-    cert: Path | None,
-    passphrase_file: Path | None = None,
-) -> FileSigner:
-    """Return who gives the order: the keys named, else the demo folder's issuer."""
-    if key is not None and cert is not None:
-        return open_signer(key, cert, passphrase_file)
-    if key is not None or cert is not None:
-        raise typer.BadParameter("--key and --cert go together", param_hint="--key")
-    return folder_signer(trust, issuer)
 
 
 def _command(

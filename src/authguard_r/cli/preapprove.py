@@ -6,7 +6,6 @@ How-to: docs/howto/approvals.md#pre-approve-low-risk-actions
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -24,7 +23,7 @@ from authguard_r.cli.orders import (
     opened_mission,
     row_lines,
 )
-from authguard_r.cli.signing_key import PassphraseFile, open_signer
+from authguard_r.cli.signing_key import CertOption, KeyOption, PassphraseFile, open_signer
 from authguard_r.core.approval import PreApproval
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import MalformedError
@@ -43,8 +42,6 @@ _MostRiskOption = Annotated[
     int | None, typer.Option("--most-risk", help="The largest risk that is covered.", min=0)
 ]
 _ValidOption = Annotated[str | None, typer.Option("--valid", help="How long it counts: `30 min`.")]
-_KeyOption = Annotated[Path, typer.Option("--key", help="The approver's key.")]
-_CertOption = Annotated[Path, typer.Option("--cert", help="The key's certificate chain.")]
 _YesOption = Annotated[bool, typer.Option("--yes", help="Do not ask; for scripts.")]
 
 
@@ -59,8 +56,8 @@ def preapprove_command(
     most_risk: _MostRiskOption = None,
     valid: _ValidOption = (None),
     *,
-    key: _KeyOption,
-    cert: _CertOption,
+    key: KeyOption,
+    cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     robot: RobotOption = None,
     template: TemplateOption = None,

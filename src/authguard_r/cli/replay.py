@@ -272,7 +272,7 @@ def replay_command(
         typer.Option("--trust", help="The trust folder: every token is held to its signature."),
     ] = None,
     first: Annotated[
-        int, typer.Option("--from", help="Make decisions again from this record on.", min=0)
+        int, typer.Option("--first", help="Make decisions again from this record on.", min=0)
     ] = 0,
     reader: ReaderOption = None,
     passphrase_file: PassphraseFile = None,

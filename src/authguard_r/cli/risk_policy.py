@@ -26,7 +26,6 @@ from authguard_r.authoring.compile.questions import CompileQuestions
 from authguard_r.authoring.compile.totals import build_risk
 from authguard_r.cli.inputs import JsonFlag, NowOption, load_site, wall_now
 from authguard_r.cli.signed_kinds import (
-    CertOption,
     OutOption,
     SignedKind,
     TrustChoice,
@@ -34,7 +33,7 @@ from authguard_r.cli.signed_kinds import (
     show_kind,
     sign_kind,
 )
-from authguard_r.cli.signing_key import PassphraseFile, open_signer
+from authguard_r.cli.signing_key import CertOption, KeyOption, PassphraseFile, open_signer
 from authguard_r.core.encoding import Tag
 from authguard_r.core.identifiers import Identifier, Positive
 from authguard_r.core.quantities import Now, to_timestamp
@@ -87,8 +86,8 @@ def make_command(
 def sign_command(
     file: Annotated[Path, typer.Argument(help="A policy as `make` wrote it (YAML).")],
     site: SiteChoice,
-    key: Annotated[Path, typer.Option("--key", help="A site authority's or safety officer's.")],
-    cert: CertOption,
+    key: KeyOption,
+    cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     out: OutOption = None,
     trust: TrustChoice = None,

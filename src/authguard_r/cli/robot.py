@@ -18,7 +18,7 @@ from authguard_r.sim.world import initial_state, taken
 from authguard_r.site.model import Site
 from authguard_r.wire.output import emit
 
-RunOption = Annotated[Path, typer.Option("--run", help="The folder with the sockets.")]
+RunOption = Annotated[Path, typer.Option("--gate", help="The gate's run folder.")]
 #: What may go wrong, and whether it takes a number.
 _FAULTS = {
     "grasp-fails": ("grasp_fails", False),

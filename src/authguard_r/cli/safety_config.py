@@ -16,7 +16,6 @@ from msgspec import to_builtins
 from authguard_r.cli.inputs import JsonFlag, NowOption, SiteOption, load_site
 from authguard_r.cli.safety_form import SafetyForm, own_envelope, read_form, written
 from authguard_r.cli.signed_kinds import (
-    CertOption,
     OutOption,
     SignedKind,
     TrustChoice,
@@ -24,7 +23,7 @@ from authguard_r.cli.signed_kinds import (
     show_kind,
     sign_kind,
 )
-from authguard_r.cli.signing_key import PassphraseFile, open_signer
+from authguard_r.cli.signing_key import CertOption, KeyOption, PassphraseFile, open_signer
 from authguard_r.core.encoding import Tag
 from authguard_r.core.quantities import Now
 from authguard_r.keys.files import write_whole
@@ -58,8 +57,8 @@ def make_command(
 def sign_command(
     file: Annotated[Path, typer.Argument(help="A configuration as `make` wrote it (YAML).")],
     site: SiteOption,
-    key: Annotated[Path, typer.Option("--key", help="The safety officer's key.")],
-    cert: CertOption,
+    key: KeyOption,
+    cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     out: OutOption = None,
     trust: TrustChoice = None,

@@ -33,7 +33,9 @@ def segments_command(
     store: Annotated[Path, typer.Argument(metavar="STORE", help="A store; a gate may hold it.")],
     key: Annotated[
         list[str] | None,
-        typer.Option("--key", help="The log's verifier key (`audit key`); all that are named sign"),
+        typer.Option(
+            "--log-key", help="The log's verifier key (`audit key`); all that are named sign"
+        ),
     ] = None,
     as_json: JsonFlag = False,
 ) -> int:
@@ -42,7 +44,7 @@ def segments_command(
     With --key every segment's checkpoint is held to its signature and to the links of all records
     up to it. The values in a segment are verified with the whole log, by `audit verify`.
     """
-    keys = tuple(read_key(text, where="--key") for text in key or ())
+    keys = tuple(read_key(text, where="--log-key") for text in key or ())
     with strange():
         mark, folder = _mark(store), Folder(store)
         told = list(_told(folder, keys))

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 _RobotOption = Annotated[str | None, typer.Option("--robot", help="Whose gate it is.")]
-_RunOption = Annotated[Path | None, typer.Option("--run", help="The gate's run folder.")]
+_RunOption = Annotated[Path | None, typer.Option("--gate", help="The gate's run folder.")]
 _TrustOption = Annotated[
     Path | None, typer.Option("--trust", help="The trust folder: the gate proves itself.")
 ]
@@ -100,7 +100,7 @@ def serve_command(
         sys.stdout.write(process.openapi(propose=propose).decode() + "\n")
         return 0
     if robot is None or run is None or trust is None:
-        raise typer.BadParameter("expected --robot, --run and --trust", param_hint="--robot")
+        raise typer.BadParameter("expected --robot, --gate and --trust", param_hint="--robot")
     if shadow and propose:
         text = "a gate in shadow mode carries nothing out"
         raise typer.BadParameter(text, param_hint="--propose")

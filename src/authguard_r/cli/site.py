@@ -24,7 +24,7 @@ from authguard_r.cli.inputs import (
     text_of,
     wall_now,
 )
-from authguard_r.cli.signing_key import PassphraseFile, open_signer
+from authguard_r.cli.signing_key import CertOption, KeyOption, PassphraseFile, open_signer
 from authguard_r.core.errors import MalformedError
 from authguard_r.keys.files import write_whole
 from authguard_r.keys.trust import read_file, read_trust
@@ -117,8 +117,8 @@ def diff_command(
 
 def sign_command(
     site: SiteArgument,
-    key: Annotated[Path, typer.Option("--key", help="The site authority's key.")],
-    cert: Annotated[Path, typer.Option("--cert", help="The key's certificate chain.")],
+    key: KeyOption,
+    cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     out: Annotated[Path | None, typer.Option("--out", help="Where to write the token.")] = None,
     as_json: JsonFlag = False,

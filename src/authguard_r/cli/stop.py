@@ -37,7 +37,7 @@ def stop_command(
         StoppingRole | None,
         typer.Option("--role", help="The role to stop as (default: the first that you may be)."),
     ] = None,
-    why: Annotated[str, typer.Option("--why", help="For the log; decides nothing.")] = "",
+    why: Annotated[str, typer.Option("--reason", help="For the log; decides nothing.")] = "",
     store: Annotated[
         Path | None, typer.Option("--store", help="Stop a store's mission; no gate is reached.")
     ] = None,

@@ -15,7 +15,7 @@ from authguard_r.wire.output import emit
 
 
 def stop_lane_command(
-    run: Annotated[Path, typer.Option("--run", help="The run folder, with the sockets.")],
+    run: Annotated[Path, typer.Option("--gate", help="The gate's run folder.")],
     robot: Annotated[str, typer.Option("--robot", help="Whose lane it is.")],
     trust: TrustOption,
     key: Annotated[Path, typer.Option("--key", help="The gate's own key.")],

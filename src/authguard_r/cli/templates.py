@@ -33,20 +33,9 @@ from authguard_r.cli.inputs import (
 )
 from authguard_r.cli.mission_files import beside_token, lint_json, payload_of, warn
 from authguard_r.cli.offline import CounterOption, NewOption, OfflineStore
-from authguard_r.cli.orders import (
-    ORDER_MS,
-    CertOption,
-    KeyOption,
-    RobotOption,
-    StoreOption,
-    alone,
-    managed,
-    signer_of,
-)
+from authguard_r.cli.orders import ORDER_MS, RobotOption, StoreOption, alone, managed
 from authguard_r.cli.sign import (
     AcceptOption,
-    IssuerCert,
-    IssuerKey,
     ShownSite,
     SignerTrust,
     SignerView,
@@ -60,7 +49,15 @@ from authguard_r.cli.sign import (
     trust_folder_of,
     write_signed,
 )
-from authguard_r.cli.signing_key import PassphraseFile, open_signer
+from authguard_r.cli.signing_key import (
+    CertOption,
+    KeyOption,
+    OrderKeyOption,
+    PassphraseFile,
+    certificate_of,
+    open_signer,
+    signer_of,
+)
 from authguard_r.core.encoding import Tag, b64, decode, digest_of
 from authguard_r.core.identifiers import Digest, MissionId
 from authguard_r.core.mission import Mission
@@ -137,8 +134,8 @@ def review_command(template: TemplateFile, site: SiteOption, as_json: JsonFlag =
 
 def sign_command(
     template: Annotated[Path, typer.Argument(help="A template as `compile` wrote it.")],
-    key: IssuerKey,
-    cert: IssuerCert,
+    key: KeyOption,
+    cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     site: ShownSite = None,
     accept: AcceptOption = None,
@@ -151,7 +148,7 @@ def sign_command(
     require_shown(site, yes=yes)
     opened, signer = read_template(template), open_signer(key, cert, passphrase_file)
     missions = every_mission(opened)
-    require_issuer(missions[0], signer, trust_folder_of(trust, cert))
+    require_issuer(missions[0], signer, trust_folder_of(trust, certificate_of(key, cert)))
     reading = _read(opened, missions, site)
     accepted = accepted_codes(accept or [], reading)
     if unaccepted := reading.unaccepted(accepted):
@@ -257,7 +254,7 @@ def withdraw_command(
     trust: TrustOption,
     site: SiteOption,
     store: StoreOption,
-    key: KeyOption = None,
+    key: OrderKeyOption = None,
     cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     robot: RobotOption = None,

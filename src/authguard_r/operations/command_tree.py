@@ -17,6 +17,8 @@ from typing import Annotated, Any, NamedTuple
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+#: How the variables of defaults begin.
+PREFIX = "AUTHGUARD_"
 #: Longest help of a command in a list, in characters: it fits a terminal of 80 columns.
 LINE = 58
 
@@ -44,6 +46,7 @@ class Program(NamedTuple):
         commands: each command by its words, `keys init`.
         groups: what each group is about, by its words.
         sections: who uses which commands: headings of the first list, with first words.
+        services: commands that take no defaults: what a process serves is named where it starts.
         renamed: old words of commands and groups, with the words that they have now.
         renamed_options: the same of options, by the words of their command or group.
     """
@@ -55,6 +58,7 @@ class Program(NamedTuple):
     commands: Mapping[str, Entry]
     groups: Mapping[str, str]
     sections: Mapping[str, tuple[str, ...]]
+    services: frozenset[str] = frozenset()
     renamed: Mapping[str, str] = {}
     renamed_options: Mapping[str, Mapping[str, str]] = {}
 
@@ -95,7 +99,10 @@ class Commands(Mapping[str, Any]):
                 told = self.program.groups[" ".join(words)]
                 self._found[name] = Branch(name=name, help=told, commands=below, **_PLAIN)
             else:
-                self._found[name] = _leaf(f"{self.program.package}.{entry.place}", name)
+                made = self._found[name] = _leaf(f"{self.program.package}.{entry.place}", name)
+                if " ".join(words) in self.program.services:
+                    for parameter in made.params:
+                        parameter.envvar = None
         return self._found[name]
 
     def help(self, name: str) -> str:
@@ -119,7 +126,8 @@ class Branch(TyperGroup):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Return the arguments; without any, print the help."""
         args = args if args or ctx.resilient_parsing else ["-h"]
-        self.add_help_option = not args or args[0].startswith("-")  # a group before a command parses nothing
+        # a group before a command parses nothing
+        self.add_help_option = not args or args[0].startswith("-")
         print_help(ctx, args)
         return super().parse_args(ctx, args)
 
@@ -137,12 +145,32 @@ class Branch(TyperGroup):
 
 
 class Leaf(TyperCommand):
-    """A command."""
+    """A command; options with a variable have a default in `authguard.toml`, too."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Return the arguments."""
+        """Return the arguments, with the defaults of options that were not named.
+
+        Before a command signs, it prints where the trust root and the key come from.
+        """
         print_help(ctx, args)
-        return super().parse_args(ctx, args)
+        named = {str(p.name): _default_name(p) for p in self.params if _default_name(p)}
+        if not named or ctx.resilient_parsing:
+            return super().parse_args(ctx, args)
+        from authguard_r.operations.defaults import working_defaults
+
+        found = working_defaults()
+        if found.ignored:
+            typer.echo(found.ignored, err=True)
+        ctx.default_map = {k: found.values[v] for k, v in named.items() if v in found.values}
+        rest = super().parse_args(ctx, args)
+        origin = {"ENVIRONMENT": "the environment", "DEFAULT_MAP": str(found.path)}
+        of = {name: origin.get(ctx.get_parameter_source(name).name, "") for name in named}
+        if ctx.params.get("store") is not None and of.get("gate"):
+            ctx.params["gate"] = None  # the user named a store, and no gate
+        for name in ("trust", "key") if "key" in named else ():
+            if of.get(name):
+                typer.echo(f"{name}: {ctx.params[name]} (from {of[name]})", err=True)
+        return rest
 
     def get_help(self, ctx: Any) -> str:
         """Return the help, with colors on a terminal."""
@@ -179,6 +207,11 @@ def print_help(ctx: Any, args: list[str]) -> None:
     if args and args[0] in ctx.help_option_names and not ctx.resilient_parsing:
         typer.echo(ctx.get_help())
         ctx.exit()
+
+
+def _default_name(option: Any) -> str:
+    """Return the name of an option's default; empty: it has none."""
+    return str(getattr(option, "envvar", None) or "").removeprefix(PREFIX).lower()
 
 
 def colored(text: str) -> str:
