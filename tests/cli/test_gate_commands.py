@@ -155,9 +155,7 @@ EVENTS: list[dict[str, Any]] = [
 # --- status
 
 
-@pytest.mark.parametrize(
-    "way", ["folder", "socket", "other socket", "environment", "old environment"]
-)
+@pytest.mark.parametrize("way", ["folder", "socket", "other socket", "environment"])
 def test_the_gate_is_found_by_its_folder_its_socket_or_the_environment(
     shell: Shell, way: str, monkeypatch: Any
 ) -> None:
@@ -168,10 +166,15 @@ def test_the_gate_is_found_by_its_folder_its_socket_or_the_environment(
                 lane.bind(str(named[way]))
         if way == "environment":
             monkeypatch.setenv("AUTHGUARD_GATE", str(path.parent))
-        if way == "old environment":  # for one version
-            monkeypatch.setenv("AUTHGUARD_RUN", str(path.parent))
         on = ["--gate", named[way]] if way in named else []
         assert shell.json("status", *on) == (0, STATUS)
+
+
+def test_the_old_variable_works_for_one_version(shell: Shell, monkeypatch: Any) -> None:
+    with listening(serving({Kind.STATUS: STATUS})) as path:
+        monkeypatch.setenv("AUTHGUARD_RUN", str(path.parent))
+        code, text = shell("status")
+        assert (code, text.partition(";")[0]) == (0, "AUTHGUARD_RUN is now AUTHGUARD_GATE")
 
 
 def test_status_tells_a_person_how_things_stand(shell: Shell) -> None:

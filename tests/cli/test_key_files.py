@@ -32,6 +32,7 @@ from authguard_r.authoring.keys.request import fingerprint, open_request
 from authguard_r.authoring.keys.setup import read_authority
 from authguard_r.cli import call
 from authguard_r.cli.app import program
+from authguard_r.operations.defaults import NAMES
 from authguard_r.cli.inputs import wall_now
 from authguard_r.core.encoding import encode
 from authguard_r.keys.certificate import Role, build_leaf
@@ -291,7 +292,8 @@ def test_every_command_that_takes_a_persons_key_takes_a_passphrase_file() -> Non
 def test_no_command_takes_a_passphrase_as_an_argument_or_from_the_environment() -> None:
     for name, options in commands(program(), ""):
         assert not {"--passphrase", "--pin", "--password"} & set(options), name
-    assert all(getattr(option, "envvar", None) is None for option in every(program()))
+    named = {getattr(option, "envvar", None) for option in every(program())} - {None}
+    assert named == {f"AUTHGUARD_{name.upper()}" for name in NAMES}  # paths, never a passphrase
 
 
 def commands(command: Any, name: str) -> Iterator[tuple[str, list[str]]]:

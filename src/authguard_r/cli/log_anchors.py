@@ -173,7 +173,7 @@ def _cosigned(note: Note, witnesses: tuple[NoteKey, ...], where: str) -> tuple[A
 def _folder_keys(trust: Path | None, claimed: Checkpoint) -> tuple[NoteKey, ...]:
     """Return the log's keys that a trust folder gives."""
     if trust is None:
-        raise _no_key("--key, or --trust")
+        raise _no_key("--log-key, or --trust")
     _, _, rest = claimed.origin.partition("/")
     robot = rest.partition("/")[0]
     if not is_identifier(robot) or claimed.origin != origin_of(RobotId(robot)):
