@@ -29,7 +29,7 @@ import typer
 from authguard_r.audit.record import LogRow
 from authguard_r.cli import call
 from authguard_r.cli.gateway import RUNS, only_run
-from authguard_r.cli.operate import status_lines
+from authguard_r.cli.status_lines import status_lines
 from authguard_r.cli.watch import event_line, picture
 from authguard_r.client import stopping
 from authguard_r.core.encoding import Tag, b64
@@ -61,6 +61,24 @@ STATUS: dict[str, Any] = {
         "expiry": "2027-01-01T00:00:00Z",
         "grants": [{"id": "pick", "type": "pick", "starts": 1, "of": 2}],
         "open": ["T" * 43],
+    },
+    "place": ["pharmacy"],
+    "holding": "package-7",
+    "state_age_ms": 80,
+    "last_refusal": {
+        "record": 27,
+        "ago_ms": 12_000,
+        "action": {"type": "navigate", "object": None, "destination": "isolation-room"},
+        "reasons": ["DESTINATION_OUT_OF_SCOPE"],
+        "findings": [
+            {
+                "field": "destination",
+                "reason": "DESTINATION_OUT_OF_SCOPE",
+                "expected": "pharmacy",
+                "got": "isolation-room",
+                "step": 7,
+            }
+        ],
     },
     "leases": [{"ticket": "T" * 43, "action": "navigate", "for_ms": 5_000, "left_ms": 20_000}],
     "clients": [{"role": "planner", "client": "llm", "uid": 1000, "idle_ms": 90_000}],
@@ -183,14 +201,17 @@ def test_status_tells_a_person_how_things_stand(shell: Shell) -> None:
     assert code == 0
     assert text.splitlines() == [
         f"{scenarios.RID}: enforce, up 1 h 2 min",
+        "ALERT: planner silent (for_ms 90000)",
+        "ALERT: no progress",
+        "last refusal, 12.0 s ago: navigate isolation-room (authguard explain 27)",
+        "  DESTINATION_OUT_OF_SCOPE at destination: expected pharmacy, got isolation-room",
+        "robot: at pharmacy, holds package-7 (measured 0.1 s ago)",
+        "moving: navigate, for 5.0 s, at most 20.0 s more (lease TTTTTTTTTTTT...)",
         "mission carry-7 version 2: active, by operator-1, until 2027-01-01T00:00:00Z",
         "  pick (pick): 1 of 2 starts",
         f"  open release {'T' * 43}",
-        "  moving: navigate, for 5.0 s, at most 20.0 s more (lease TTTTTTTTTTTT...)",
-        "heard: planner 1 min 30 s ago, estimator 0.1 s ago, controller never",
+        "last message: planner 1 min 30 s ago, estimator 0.1 s ago, controller never",
         "client: planner llm (user 1000), idle 1 min 30 s",
-        "ALERT: planner silent (for_ms 90000)",
-        "ALERT: no progress",
         "refused: open GUARD_FALSE, folded 12",
         "disk: 5 MiB free, 1 MiB kept back",
         "stops: 3; log: 120 records",
@@ -646,10 +667,11 @@ def gate_config(shell: Shell) -> str:
 def test_explain_asks_the_gate(shell: Shell) -> None:
     seen: list[Any] = []
     told = {"seq": 7, "text": ["record 7: because", "  of\x1bthat"]}
-    with listening(serving({Kind.EXPLAIN: told}, seen)) as path:
+    with listening(serving({Kind.EXPLAIN: told, Kind.STATUS: {}}, seen)) as path:
         assert shell("explain", 7, "--gate", path) == (0, "record 7: because\n  of\\x1bthat\n")
         assert shell.json("explain", "--gate", path) == (0, told)
-    assert [json.loads(item.body)["seq"] for _, item in seen] == [7, None]
+    asked = [json.loads(item.body)["seq"] for _, item in seen if item.kind is Kind.EXPLAIN]
+    assert asked == [7, None]
 
 
 def test_explain_reads_a_store_that_no_gate_holds(shell: Shell, token: str) -> None:

@@ -32,7 +32,6 @@ from authguard_r.authoring.keys.request import fingerprint, open_request
 from authguard_r.authoring.keys.setup import read_authority
 from authguard_r.cli import call
 from authguard_r.cli.app import program
-from authguard_r.operations.defaults import NAMES
 from authguard_r.cli.inputs import wall_now
 from authguard_r.core.encoding import encode
 from authguard_r.keys.certificate import Role, build_leaf
@@ -40,6 +39,7 @@ from authguard_r.keys.envelope import is_sealed, unseal
 from authguard_r.keys.pkcs11 import open_key
 from authguard_r.keys.signer import FileSigner, certified
 from authguard_r.keys.trust import read_trust
+from authguard_r.operations.defaults import NAMES
 from authguard_r.wire.messages import ClientRole
 from fixtures import scenarios
 from fixtures.gate_process import AUTHGUARD, RunningGate

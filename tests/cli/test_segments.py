@@ -116,7 +116,10 @@ def test_an_export_of_a_rotated_log_is_whole_to_a_stranger(
     assert told(capsys, "verify", out, *KEY)[1]["size"] == SIZE
     assert NODE is not None
     done = subprocess.run(
-        [NODE, str(VERIFIER), str(out), "--key", KEY[1]], capture_output=True, text=True, check=False
+        [NODE, str(VERIFIER), str(out), "--key", KEY[1]],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert f"{SIZE} records" in done.stdout
