@@ -17,7 +17,15 @@ from msgspec import Struct, to_builtins
 from authguard_r.authoring.compile.draft import Quantity
 from authguard_r.authoring.compile.units import to_integer
 from authguard_r.cli.gateway import GateOption, ProofOption, ReadingRole, connected
-from authguard_r.cli.inputs import JsonFlag, NowOption, SiteOption, TrustOption, load_site, wall_now
+from authguard_r.cli.inputs import (
+    JsonFlag,
+    NowOption,
+    SiteOption,
+    TrustOption,
+    load_site,
+    require_robot,
+    wall_now,
+)
 from authguard_r.cli.signed_kinds import OutOption, SignedKind, YesOption, sign_kind
 from authguard_r.cli.signing_key import CertOption, OrderKeyOption, PassphraseFile, signer_of
 from authguard_r.core.encoding import Tag
@@ -112,9 +120,7 @@ def make_command(
 ) -> int:
     """Write a policy to look through: a way to each emergency place, and a call for help."""
     model = load_site(site)
-    if robot not in model.robots:
-        raise typer.BadParameter(f"the site has no robot `{robot}`", param_hint="--robot")
-    text = "".join(_written(model, RobotId(robot)))
+    text = "".join(_written(model, require_robot(model, robot)))
     write_whole(out, text.encode("utf-8"))
     note = "decide on every guard, and on who may call, before you sign"
     emit({"file": str(out)}, [note, str(out)], as_json=as_json)

@@ -19,6 +19,7 @@ from authguard_r.cli.inputs import (
     SiteOption,
     TrustOption,
     gate_robot,
+    require_robot,
 )
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.reasons import Reason
@@ -120,8 +121,7 @@ def checked(files: GateFiles) -> GateFiles:
     """
     trust = read_trust(files.trust)
     now = start_time(files, trust)
-    if files.robot not in trusted_site(files.site, trust, now).robots:
-        raise typer.BadParameter(f"the site has no robot `{files.robot}`", param_hint="--robot")
+    require_robot(trusted_site(files.site, trust, now), files.robot)
     if files.simulate and not (files.demo and trust.demo):
         raise typer.BadParameter(
             "only with --demo and a root that says `demo`", param_hint="--simulate"

@@ -123,6 +123,25 @@ def gate_facts(folder: Path, trust: Trust, site: Site, *, now: Now, robot: str |
     return facts_of(site, rid=rid, profile=profile)
 
 
+def require_robot(site: Site, robot: str, *, where: str = "--robot") -> RobotId:
+    """Return the id of a robot of the site.
+
+    Args:
+        site: the site model.
+        robot: the name.
+        where: the option that the name comes from.
+
+    Raises:
+        typer.BadParameter: the site has no such robot; its robots are named.
+    """
+    if robot in site.robots:
+        return RobotId(robot)
+    known = ", ".join(f"`{name}`" for name in sorted(site.robots)) or "none"
+    raise typer.BadParameter(
+        f"site `{site.id}` has no robot `{robot}`; its robots: {known}", param_hint=where
+    )
+
+
 def gate_robot(folder: Path, robot: str | None) -> RobotId:
     """Return the robot of the folder's one gate, or the one that was named."""
     names = sorted(folder.glob("keys/gate-*.cert.pem"))

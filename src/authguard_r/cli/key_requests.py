@@ -22,7 +22,7 @@ from authguard_r.authoring.keys.request import (
     make_request,
     open_request,
 )
-from authguard_r.cli.inputs import JsonFlag, TrustOption, load_site, wall_now
+from authguard_r.cli.inputs import JsonFlag, TrustOption, load_site, require_robot, wall_now
 from authguard_r.cli.signing_key import (
     KEY_END,
     REQUEST_END,
@@ -172,9 +172,7 @@ def _profile(role: Role, robots: list[str], site: Path | None) -> Digest | None:
     if site is None:
         raise typer.BadParameter("a gate's profile is in its site: name it", param_hint="--site")
     model = load_site(site)
-    if robots[0] not in model.robots:
-        raise typer.BadParameter(f"the site has no robot `{robots[0]}`", param_hint="--robot")
-    return profile_digest(model.robots[RobotId(robots[0])].profile)
+    return profile_digest(model.robots[require_robot(model, robots[0])].profile)
 
 
 def rotate_command(

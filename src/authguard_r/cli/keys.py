@@ -10,9 +10,8 @@ from typing import Annotated
 import typer
 
 from authguard_r.authoring.keys.setup import AUTHORITIES, demo_members, init_folder
-from authguard_r.cli.inputs import JsonFlag, load_site
+from authguard_r.cli.inputs import JsonFlag, load_site, require_robot
 from authguard_r.cli.key_answers import init_authorities
-from authguard_r.core.identifiers import RobotId
 from authguard_r.keys.algorithms import Algorithm
 from authguard_r.sim.example import bundled_hospital
 from authguard_r.wire.output import emit
@@ -94,10 +93,7 @@ def init_command(
         text = "everything lies in one folder here: with --no-demo"
         raise typer.BadParameter(text, param_hint="--authorities")
     model = load_site(site or bundled_hospital() / "site.yaml")
-    rids = tuple(RobotId(name) for name in robot or [next(iter(model.robots))])
-    unknown = [rid for rid in rids if rid not in model.robots]
-    if unknown:
-        raise typer.BadParameter(f"the site has no robot `{unknown[0]}`", param_hint="--robot")
+    rids = tuple(require_robot(model, name) for name in robot or [next(iter(model.robots))])
     members, now = demo_members(model, rids), datetime.now(UTC)
     kinds = _CHOICES[algorithm]
     init_folder(folder, members, now=now, days=days or DEMO_DAYS, algorithms=kinds)

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from authguard_r.cli.inputs import JsonFlag, SiteOption, TrustOption, load_site
+from authguard_r.cli.inputs import JsonFlag, SiteOption, TrustOption, load_site, require_robot
 from authguard_r.core.identifiers import ObjectId, RegionId, RobotId
 from authguard_r.keys.trust import read_trust
 from authguard_r.sim.robot import Faults, SymbolicRobot
@@ -57,7 +57,7 @@ def robot_command(
     from authguard_r.sim.process import run_robot
 
     model = load_site(site, trust)
-    rid = _known(model, robot)
+    rid = require_robot(model, robot)
     body = SymbolicRobot(
         model,
         rid,
@@ -74,12 +74,6 @@ def robot_command(
 
     run_robot(body, run, trust=lambda: read_trust(trust), speed_up=speed_up, ready=ready)
     return 0
-
-
-def _known(site: Site, robot: str) -> RobotId:
-    if robot not in site.robots:
-        raise typer.BadParameter(f"the site has no robot `{robot}`", param_hint="--robot")
-    return RobotId(robot)
 
 
 def _world(site: Site, rid: RobotId, at: str | None, holding: str | None) -> WorldState:

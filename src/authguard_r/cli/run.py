@@ -33,6 +33,7 @@ from authguard_r.cli.inputs import (
     load_site,
     read_context,
     read_input,
+    require_robot,
     wall_now,
 )
 from authguard_r.cli.offline import CounterOption, counter_of
@@ -181,9 +182,8 @@ def run_command(
     """Enforce a plan on the symbolic robot: decide, check, commit, move, watch, record."""
     instant = wall_now(now)
     model = load_site(site, trust, instant)
-    rid = gate_robot(trust, robot)
-    if rid not in model.robots:
-        raise typer.BadParameter(f"the site has no robot `{rid}`", param_hint="--robot")
+    named = "--robot" if robot is not None else "--trust"  # whose gate certificate names it
+    rid = require_robot(model, gate_robot(trust, robot), where=named)
     config = None
     if safety is not None:
         config = open_config(read_file(safety), verifier=read_trust(trust), now=instant)
