@@ -35,7 +35,7 @@ SiteChoice = Annotated[
     Path | None,
     typer.Option("--site", envvar="AUTHGUARD_SITE", help="The site model, for units and marks."),
 ]
-YesFlag = Annotated[bool, typer.Option("--yes", help="Do not ask; for scripts.")]
+YesFlag = Annotated[bool, typer.Option("--yes", help="Do not ask (for scripts).")]
 
 
 def list_command(
@@ -45,7 +45,7 @@ def list_command(
     site: SiteChoice = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """List the open requests of the robot's active mission; exit 3 while there are any."""
+    """List the open requests of the active mission; exit 3 while a request is open."""
     model = None if site is None else load_site(site)
     with connected(gate, role, trust) as client:
         questions = client.approvals()
@@ -63,7 +63,7 @@ def show_command(
     site: SiteChoice = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show one request whole, from the very bytes that an answer binds."""
+    """Show one request in full, decoded from the bytes that an answer signs."""
     model = None if site is None else load_site(site)
     with connected(gate, role, trust) as client:
         question = client.approval(counter)
@@ -83,7 +83,7 @@ def approve_command(
     yes: YesFlag = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show a request, ask, sign an approval and hand it in; exit 1 when it does not count."""
+    """Show a request, ask, sign an approval and send it; exit 1 when it does not count."""
     return _answer(
         counter,
         ApprovalVerdict.APPROVE,
@@ -101,7 +101,7 @@ def deny_command(
     counter: CounterArgument,
     key: KeyOption,
     reason: Annotated[
-        str, typer.Option("--reason", help="Why; for the log alone, no planner hears of it.")
+        str, typer.Option("--reason", help="Why, for the log; planners do not see it.")
     ],
     cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
@@ -111,7 +111,7 @@ def deny_command(
     yes: YesFlag = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show a request, ask, sign a denial and hand it in; it outweighs every approval."""
+    """Show a request, ask, sign a denial and send it; a denial outweighs every approval."""
     if not reason.strip():
         raise typer.BadParameter("say why", param_hint="--reason")
     return _answer(
@@ -131,15 +131,15 @@ def watch_command(
     gate: GateOption = None,
     role: RoleOption = ReadingRole.OPERATOR,
     trust: ProofOption = None,
-    jsonl: Annotated[bool, typer.Option("--jsonl", help="One event a line, as JSON.")] = False,
+    jsonl: Annotated[bool, typer.Option("--jsonl", help="One JSON object for each event.")] = False,
     count: Annotated[
-        int | None, typer.Option("--count", help="Leave after so many events.", min=1)
+        int | None, typer.Option("--count", help="End after this number of events.", min=1)
     ] = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show requests and answers as they come, until interrupted.
+    """Show requests and answers as they happen, until you interrupt it.
 
-    With --json all events come at the end, as one object.
+    With --json all events are printed at the end, as one object.
     """
     seen: list[dict[str, Any]] = []
     with suppress(KeyboardInterrupt), connected(gate, role, trust) as client:

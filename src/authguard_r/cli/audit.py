@@ -9,5 +9,5 @@ from typing import Annotated
 import typer
 
 StoreArgument = Annotated[
-    Path, typer.Argument(metavar="FILE", help="A store, or a log that was exported as JSON Lines.")
+    Path, typer.Argument(metavar="FILE", help="A store, or an exported log (JSON Lines).")
 ]

@@ -47,8 +47,10 @@ class ProposerName(StrEnum):
 def draft_command(
     sentence: Annotated[str, typer.Argument(help="What the robot should do.")],
     site: SiteOption,
-    robot: Annotated[str | None, typer.Option("--robot", help="Which robot is meant.")] = None,
-    issuer: Annotated[str | None, typer.Option("--issuer", help="Who will sign.")] = None,
+    robot: Annotated[str | None, typer.Option("--robot", help="The robot.")] = None,
+    issuer: Annotated[
+        str | None, typer.Option("--issuer", help="Who will sign the mission.")
+    ] = None,
     answer: AnswerOption = None,
     proposer: Annotated[
         ProposerName, typer.Option("--proposer", help="The grammar, or a language model.")
@@ -58,14 +60,14 @@ def draft_command(
     api_key_env: ApiKeyEnvOption = None,
     timeout: TimeoutOption = TIMEOUT_S,
     profile: Annotated[
-        Path | None, typer.Option("--profile", help="Defaults of your own (YAML).")
+        Path | None, typer.Option("--profile", help="Your own defaults (YAML).")
     ] = None,
     now: NowOption = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Where to write the draft.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="File for the draft.")] = None,
     no_input: NoInputFlag = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Propose a draft for a sentence, or ask what only a person can say (exit 3)."""
+    """Draft a mission from a sentence, or print the questions that are open (exit 3)."""
     place = load_site(site)
     settled = _answers(answer or [])
     if issuer is not None:

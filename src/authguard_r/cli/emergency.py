@@ -62,7 +62,7 @@ from authguard_r.wire.output import emit
 
 _SIGNER = "safety-officer-1"
 _DAY_MS = int(timedelta(days=1).total_seconds()) * 1_000
-FileArgument = Annotated[Path, typer.Argument(help="A policy as people write it (YAML).")]
+FileArgument = Annotated[Path, typer.Argument(help="A policy (YAML).")]
 
 
 class GuardForm(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -115,10 +115,10 @@ class EmergencyForm(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 def make_command(
     site: SiteOption,
     robot: Annotated[str, typer.Option("--robot", help="The robot.")],
-    out: Annotated[Path, typer.Option("--out", help="Where to write it.")],
+    out: Annotated[Path, typer.Option("--out", help="File to write.")],
     as_json: JsonFlag = False,
 ) -> int:
-    """Write a policy to look through: a way to each emergency place, and a call for help."""
+    """Create a policy to edit and sign: a route to each emergency place, and a call for help."""
     model = load_site(site)
     text = "".join(_written(model, require_robot(model, robot)))
     write_whole(out, text.encode("utf-8"))
@@ -128,7 +128,7 @@ def make_command(
 
 
 def check_command(file: FileArgument, site: SiteOption, as_json: JsonFlag = False) -> int:
-    """Say everything that a gate would refuse a policy for."""
+    """Check a policy and print everything that a gate would refuse."""
     model = load_site(site)
     found = lint_policy(_read(file, model, now_ms=wall_now(None).utc_ms), model)
     lines = [f"{unsound.where}: {unsound.message}" for unsound in found]
@@ -147,7 +147,7 @@ def sign_command(
     yes: YesOption = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show what a robot may do without a mission, ask, and sign; an unsound one is refused."""
+    """Show what a robot may do without a mission, ask, and sign. An invalid policy is refused."""
     model = load_site(site, trust)
     signer = signer_of(_SIGNER, trust, key, cert, passphrase_file)
     policy = _read(file, model, now_ms=wall_now(None).utc_ms)
@@ -163,7 +163,7 @@ def show_command(
     now: NowOption = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show a policy; with --trust and --site, once everything that a gate asks of it holds."""
+    """Show a policy. With --trust and --site, a gate must accept it."""
     if (trust is None) is not (site is None):
         raise typer.BadParameter("--trust and --site go together", param_hint="--trust")
     policy = claimed_policy(read_file(token))
@@ -182,10 +182,13 @@ def call_command(
     capability: Annotated[str, typer.Argument(help="The capability's id.")],
     gate: GateOption = None,
     trust: ProofOption = None,
-    key: Annotated[str | None, typer.Option("--call", help="Names the call.")] = None,
+    key: Annotated[
+        str | None,
+        typer.Option("--call", help="Name of the call; a repeated name is the same call."),
+    ] = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Call a capability of the gate's emergency policy, as an operator; wait for its end."""
+    """Call a capability of the gate's emergency policy as an operator; wait until it ends."""
     name = convert(capability, Identifier, where="CAPABILITY")
     with connected(gate, ReadingRole.OPERATOR, trust) as client:
         told = client.emergency(name, key=key)

@@ -23,18 +23,18 @@ from authguard_r.wire.output import emit
 
 
 def estimator_command(
-    robot: Annotated[str, typer.Option("--robot", help="Whose state it attests.")],
+    robot: Annotated[str, typer.Option("--robot", help="The robot.")],
     run: RunOption,
     trust: TrustOption,
     key: KeyOption,
     cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     rate: Annotated[
-        int, typer.Option("--rate", min=1, max=200, help="Most snapshots in a second.")
+        int, typer.Option("--rate", min=1, max=200, help="Snapshots in one second, at most.")
     ] = 20,
     as_json: JsonFlag = False,
 ) -> int:
-    """Sign the robot's raw sensor values and send them to its gate until SIGTERM."""
+    """Sign the robot's sensor values and send them to its gate until SIGTERM."""
     from authguard_r.sim.estimator import run_estimator
 
     if not is_identifier(robot):

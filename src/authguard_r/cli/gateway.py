@@ -48,14 +48,17 @@ class ReadingRole(StrEnum):
 
 
 RoleOption = Annotated[
-    ReadingRole, typer.Option("--role", help="What to be at the gate; it decides who may be what.")
+    ReadingRole,
+    typer.Option(
+        "--role", help="Role to connect as; the gate configuration lists who may use which role."
+    ),
 ]
 ProofOption = Annotated[
     Path | None,
     typer.Option(
         "--trust",
         envvar="AUTHGUARD_TRUST",
-        help="A trust folder: the gate has to prove that it holds its key.",
+        help="A trust folder: the gate must prove its identity.",
     ),
 ]
 #: How the command line is called in a gate's log.

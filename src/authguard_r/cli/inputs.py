@@ -39,7 +39,7 @@ from authguard_r.site.source import (
 #: Most bytes of a context file: a day of captions, and no more than memory easily holds.
 MAX_CONTEXT = 1 << 24
 
-JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")]
+JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 SiteOption = Annotated[
     Path,
     typer.Option(
@@ -53,9 +53,7 @@ TrustOption = Annotated[
 TokenOption = Annotated[Path, typer.Option("--token", help="A signed mission.")]
 BindingOption = Annotated[
     Path,
-    typer.Option(
-        "--binding", help="The planner's tools: YAML, or a shipped name (`binding list`)."
-    ),
+    typer.Option("--binding", help="The binding: a YAML file, or a name from `binding list`."),
 ]
 RiskPolicyOption = Annotated[
     Path | None,
@@ -63,14 +61,14 @@ RiskPolicyOption = Annotated[
 ]
 WeightOption = Annotated[
     list[str] | None,
-    typer.Option("--weight", help="A field's weight in D_M: FIELD=N; others weigh 1. Repeatable."),
+    typer.Option("--weight", help="FIELD=N: weight in D_M (default 1); repeatable."),
 ]
 RepairOption = Annotated[
     bool,
-    typer.Option("--repair", help="Decide the safety gate's repair of a refused step, once."),
+    typer.Option("--repair", help="Decide a repair by the safety gate, once for each step."),
 ]
 NowOption = Annotated[
-    str | None, typer.Option("--now", help="The instant to ask about, 2026-01-31T14:30:00Z.")
+    str | None, typer.Option("--now", help="Use this instant as now: 2026-01-31T14:30:00Z.")
 ]
 
 

@@ -47,23 +47,24 @@ def sign_command(
     cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     fill: Annotated[
-        list[str] | None, typer.Option("--fill", help="hole=value, one for every hole.")
+        list[str] | None, typer.Option("--fill", help="HOLE=VALUE; repeat for every hole.")
     ] = None,
     name: Annotated[
-        str | None, typer.Option("--name", help="The mission's name after `TEMPLATE.`.")
+        str | None, typer.Option("--name", help="Name of the mission; `TEMPLATE.` comes before it.")
     ] = None,
     lasts: Annotated[
-        str | None, typer.Option("--for", help="Its validity, `10 min` (default: the longest).")
+        str | None,
+        typer.Option("--for", help="How long it is valid: `10 min` (default: the longest)."),
     ] = None,
     now: NowOption = None,
     trust: Annotated[
         Path | None,
-        typer.Option("--trust", help="The trust folder (default: the one that --cert lies in)."),
+        typer.Option("--trust", help="The trust folder (default: the folder of --cert)."),
     ] = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Where to write the token.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="File for the token.")] = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Fill every hole with a value of its set, and sign; no question is asked."""
+    """Fill in every hole with one of its values, and sign, without a question."""
     opened, signer = read_template(template), open_signer(key, cert, passphrase_file)
     _require_bound(opened, signer, trust_folder_of(trust, certificate_of(key, cert)))
     at = wall_now(now)

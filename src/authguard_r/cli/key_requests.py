@@ -70,43 +70,41 @@ def chosen(choice: Choice) -> tuple[Algorithm, ...]:
 
 
 def request_command(
-    role: Annotated[Role, typer.Option("--role", help="What the key shall sign.")],
-    principal: Annotated[str, typer.Option("--principal", help="Whose key it is.")],
+    role: Annotated[Role, typer.Option("--role", help="The role of the key.")],
+    principal: Annotated[str, typer.Option("--principal", help="Name of the principal.")],
     out: Annotated[Path, typer.Option("--out", help="The folder for key and request.")],
     robot: Annotated[
         list[str] | None,
-        typer.Option("--robot", help="For this robot; may be repeated. A gate has just one."),
+        typer.Option("--robot", help="A robot; repeatable. A gate has exactly one."),
     ] = None,
     every_robot: Annotated[
-        bool, typer.Option("--every-robot", help="For every robot, in the place of --robot.")
+        bool, typer.Option("--every-robot", help="Every robot, instead of --robot.")
     ] = False,
     region: Annotated[
         list[str] | None,
         typer.Option(
             "--region",
-            help="In this region; may be repeated. People who give orders need one, as a robot.",
+            help="A region; repeatable. Roles that give orders need a region and a robot.",
         ),
     ] = None,
     every_region: Annotated[
-        bool, typer.Option("--every-region", help="Everywhere, in the place of --region.")
+        bool, typer.Option("--every-region", help="Every region, instead of --region.")
     ] = False,
     site: Annotated[
-        Path | None, typer.Option("--site", help="The site: a gate's profile is in it.")
+        Path | None, typer.Option("--site", help="The site model, for the profile of a gate.")
     ] = None,
     template: Annotated[
-        Path | None, typer.Option("--template", help="A scheduler's template.")
+        Path | None, typer.Option("--template", help="The template of a scheduler.")
     ] = None,
     algorithm: AlgorithmOption = Choice.ED25519,
     key: Annotated[
         Path | None,
-        typer.Option(
-            "--key", help="A key that is there, `pkcs11:` or a file (default: a new one)."
-        ),
+        typer.Option("--key", help="An existing key, a file or `pkcs11:` (default: a new key)."),
     ] = None,
     passphrase_file: PassphraseFile = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """On the member's machine: make a key, which stays here, and a request, which travels."""
+    """On the member's machine: make a private key, which stays there, and a certificate request."""
     for name in (principal, *(robot or ()), *(region or ())):
         if not is_identifier(name):
             raise typer.BadParameter(f"expected an identifier, got `{name}`")
@@ -183,9 +181,9 @@ def rotate_command(
     passphrase_file: PassphraseFile = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Make the next key of a name, with a request that the key before signs.
+    """Make the next key of a name, and a request that the present key signs.
 
-    Both keys count until the old one is revoked or ends.
+    Both keys are valid until the old one is revoked or expires.
     """
     before = open_signer(key, cert, passphrase_file)
     anchor, now = read_trust(trust), wall_now(None)

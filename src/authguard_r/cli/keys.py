@@ -29,13 +29,14 @@ DEMO_DAYS, ROOT_DAYS = 365, 3_650
 
 _FolderArgument = Annotated[Path, typer.Argument(help="A new or empty folder.")]
 _DemoOption = Annotated[
-    bool, typer.Option("--demo/--no-demo", help="Everything in one folder; its root says so.")
+    bool,
+    typer.Option("--demo/--no-demo", help="Everything in one folder; the root is marked `demo`."),
 ]
 _SiteOption = Annotated[
-    Path | None, typer.Option("--site", help="The site whose robots get a gate certificate.")
+    Path | None, typer.Option("--site", help="The site model, with the robots.")
 ]
 _RobotOption = Annotated[
-    list[str] | None, typer.Option("--robot", help="A robot of the site; may be repeated.")
+    list[str] | None, typer.Option("--robot", help="A robot of the site; repeatable.")
 ]
 _AlgorithmOption = Annotated[
     str,
@@ -45,7 +46,7 @@ _AlgorithmOption = Annotated[
 ]
 _AuthoritiesOption = Annotated[
     str | None,
-    typer.Option("--authorities", help="With --no-demo: which to certify (default: all)."),
+    typer.Option("--authorities", help="With --no-demo: authorities to make (default: all)."),
 ]
 _DaysOption = Annotated[
     int | None,
@@ -68,10 +69,10 @@ def init_command(
     days: _DaysOption = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Write a root, role authorities, and keys for people, robot gate, estimator and witness.
+    """Create root, role authorities, and keys for people, gate, estimator and witness.
 
-    One folder that holds every private key protects nothing: use it to try things out. With
-    `--no-demo` roots and authorities alone, for the authority's own machine.
+    A folder with every private key is not safe: use it only to try things out. With `--no-demo`,
+    only the root and the authorities are made, for the authority's own machine.
     """
     if algorithm not in _CHOICES:
         text = f"expected one of {', '.join(_CHOICES)}, got `{algorithm}`"

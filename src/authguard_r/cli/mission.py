@@ -50,13 +50,13 @@ def compile_command(
     answer: AnswerOption = None,
     no_input: NoInputFlag = False,
     supersedes: Annotated[
-        Path | None, typer.Option("--supersedes", help="The token of the version before.")
+        Path | None, typer.Option("--supersedes", help="Token of the previous version.")
     ] = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Where to write it.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="File to write.")] = None,
     now: NowOption = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Turn a draft into the canonical mission, or ask what only a person can say (exit 3)."""
+    """Compile a draft to a mission, or print the questions that are open (exit 3)."""
     plain = _supersede(read_yaml(read_text(draft), where=str(draft)), supersedes)
     model, at, nonce = load_site(site), wall_now(now), b64(os.urandom(16))
 
@@ -94,7 +94,7 @@ def review_command(
     mission: MissionArgument,
     site: SiteOption,
     against: Annotated[
-        Path | None, typer.Option("--against", help="The version before; shows what is added.")
+        Path | None, typer.Option("--against", help="The previous version: show what is added.")
     ] = None,
     risk_policy: RiskPolicyOption = None,
     trust: Annotated[
@@ -102,7 +102,7 @@ def review_command(
     ] = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show the operator's card: what is granted, row by row, and what is not."""
+    """Show the operator's card: what the mission grants, row by row, and what it does not grant."""
     risk = _risk(risk_policy, trust)
     model, new = load_site(site), read_unverified(mission)
     card, findings = review(new, model, demand=_demand(risk)), lint(new, model)
@@ -152,7 +152,7 @@ def check_command(
     strict: Annotated[bool, typer.Option("--strict", help="Fail on warnings too.")] = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Name what a signer should look at; exit 1 when there is an error."""
+    """Check a mission for mistakes and risks; exit 1 when there is an error."""
     opened = read_unverified(mission)
     findings = lint(opened, load_site(site))
     failed = [f for f in findings if strict or f.severity is Severity.ERROR]
@@ -164,7 +164,7 @@ def check_command(
 def verify_command(
     token: TokenArgument, trust: TrustOption, now: NowOption = None, as_json: JsonFlag = False
 ) -> int:
-    """Check certificate, signature and schema of a mission, and say whose it is."""
+    """Verify certificate, signature and schema of a mission; print who signed it."""
     at = wall_now(now)
     verified = read_mission(token, read_trust(trust), at)
     in_time = verified.not_before_ms <= at.utc_ms <= verified.expiry_ms
@@ -188,7 +188,7 @@ def verify_command(
 
 
 def show_command(token: TokenArgument, as_json: JsonFlag = False) -> int:
-    """Print what a token says, without any claim that it is authentic."""
+    """Print the mission in a token. The signature is not verified."""
     opened = read_token(read_file(token))
     mission = decode(unb64(opened.payload, where="token.payload"), Mission, where="mission")
     payload = {"mission": msgspec.to_builtins(mission), "digest": mission_digest(mission)}
@@ -203,7 +203,7 @@ def diff_command(
     site: SiteOption,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show what a new version changes, widening first."""
+    """Show what a new version changes; wider permissions first."""
     before, after = read_unverified(old), read_unverified(new)
     supersedes, changes = is_next(before, after), list(compare(before, after, load_site(site)))
     head = [] if supersedes else _not_next(before, after)

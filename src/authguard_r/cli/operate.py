@@ -30,7 +30,7 @@ def status_command(
     trust: ProofOption = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show what needs an answer first, then the robot, the mission, and who is connected."""
+    """Show what needs an answer first, then the robot, the mission and the connected clients."""
     with connected(gate, role, trust) as client:
         status = client.status()
         requests = headlines(client.approvals()) if has_requests(status) else ()
@@ -48,7 +48,7 @@ def resume_command(
     template: TemplateOption = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Let a stopped or suspended mission go on: a signed order to the gate that runs."""
+    """Resume a stopped or suspended mission: sign the order and send it to the running gate."""
     signed = signed_order(
         token, trust, template, key, cert, verb=Verb.RESUME, passphrase_file=passphrase_file
     )
@@ -72,12 +72,12 @@ def explain_command(
     role: RoleOption = ReadingRole.OPERATOR,
     trust: ProofOption = None,
     store: Annotated[
-        Path | None, typer.Option("--store", help="Read a store that no gate holds.")
+        Path | None, typer.Option("--store", help="Read a store that no gate has open.")
     ] = None,
     draft: DraftOption = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Say in words why a record says what it says, what to do, and what would have allowed it."""
+    """Explain the newest request or refusal, or a record: why, what to do, what would allow it."""
     if store is not None:
         if gate is not None:
             raise typer.BadParameter("not together with --gate", param_hint="--store")

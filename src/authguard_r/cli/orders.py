@@ -48,12 +48,12 @@ StoreOption = Annotated[
     Path, typer.Option("--store", envvar="AUTHGUARD_STORE", help="The robot's store.")
 ]
 RobotOption = Annotated[
-    str | None, typer.Option("--robot", help="Which gate of the folder this store is of.")
+    str | None, typer.Option("--robot", help="The robot, if the trust folder has several gates.")
 ]
 ConfirmationOption = Annotated[
     Path | None,
     typer.Option(
-        "--confirmation", help="The record of its signing (default: the one beside the token)."
+        "--confirmation", help="The confirmation of its signing (default: beside the token)."
     ),
 ]
 TemplateOption = Annotated[
@@ -86,7 +86,10 @@ def issue_command(
     new: NewOption = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Hand in a signed mission, its next version, or a template's instance; activate nothing."""
+    """Give the gate a signed mission, its next version, or an instance of a template.
+
+    The mission is not activated.
+    """
     data, said = _handed(token, confirmation)
     place = OfflineStore(store=store, trust=trust, site=site, robot=robot, counter=counter, new=new)
     return manage(place, lambda m: m.issue(data, confirmation=said), as_json=as_json)
@@ -103,7 +106,7 @@ def activate_command(
     new: NewOption = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Take in a signed mission, its next version, or a template's instance; make it active."""
+    """Give the gate a signed mission, its next version, or a template's instance; activate it."""
     data, said = _handed(token, confirmation)
     place = OfflineStore(store=store, trust=trust, site=site, robot=robot, counter=counter, new=new)
     return manage(place, lambda m: m.activate(data, confirmation=said), as_json=as_json)
@@ -148,10 +151,10 @@ def _order(verb: Verb) -> Callable[..., int]:
         return manage(place, lambda m: m.command(signed), as_json=as_json)
 
     order.__doc__ = {
-        Verb.REVOKE: "End a mission for good; the next action is refused.",
+        Verb.REVOKE: "End a mission now; the gate refuses its next action.",
         Verb.COMPLETE: "Declare a mission complete.",
-        Verb.SUSPEND: "Hold a mission until it is resumed.",
-        Verb.RESUME: "Let a suspended mission go on.",
+        Verb.SUSPEND: "Suspend a mission until it is resumed.",
+        Verb.RESUME: "Resume a suspended mission.",
     }[verb]
     return order
 
@@ -168,7 +171,7 @@ def resolve_command(
     site: SiteOption,
     store: StoreOption,
     ticket: Annotated[str, typer.Option("--ticket", help="The open release.")],
-    outcome: Annotated[KnownOutcome, typer.Option("--outcome", help="What became of it.")],
+    outcome: Annotated[KnownOutcome, typer.Option("--outcome", help="How it ended.")],
     key: OrderKeyOption = None,
     cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
@@ -177,7 +180,7 @@ def resolve_command(
     counter: CounterOption = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Sign how a release ended that was not observed."""
+    """Sign how an action ended that the gate could not observe."""
     verified = opened_mission(token, trust, template)
     signer = signer_of(verified.mission.issuer, trust, key, cert, passphrase_file)
     signed = _command(
@@ -194,18 +197,18 @@ def choose_command(
     store: StoreOption,
     grant: Annotated[str, typer.Option("--grant", help="The grant.")],
     row: Annotated[
-        int, typer.Option("--row", help="Its number, from 0, as `review` shows it.", min=0)
+        int, typer.Option("--row", help="Number of the row, from 0 (see `review`).", min=0)
     ],
     key: OrderKeyOption = None,
     cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     robot: RobotOption = None,
     template: TemplateOption = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask; for scripts.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask (for scripts).")] = False,
     counter: CounterOption = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Choose, signed, one of the rows that a grant offers; at a terminal it shows it and asks."""
+    """Sign the choice of one row that a grant offers; at a terminal, show the row and ask first."""
     verified = opened_mission(token, trust, template)
     signer = signer_of(verified.mission.issuer, trust, key, cert, passphrase_file)
     shown = row_lines(verified.mission, grant, row, load_site(site, trust))

@@ -33,16 +33,18 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.token import VerifiedMission, sign_object
 
 _UsesOption = Annotated[
-    int, typer.Option("--uses", help="Releases that are covered; 0 withdraws.", min=0)
+    int, typer.Option("--uses", help="Number of actions; 0 withdraws the pre-approval.", min=0)
 ]
 _RowOption = Annotated[
     list[int] | None, typer.Option("--row", help="Number of a row, from 0; repeatable.", min=0)
 ]
 _MostRiskOption = Annotated[
-    int | None, typer.Option("--most-risk", help="The largest risk that is covered.", min=0)
+    int | None, typer.Option("--most-risk", help="The highest risk that is covered.", min=0)
 ]
-_ValidOption = Annotated[str | None, typer.Option("--valid", help="How long it counts: `30 min`.")]
-_YesOption = Annotated[bool, typer.Option("--yes", help="Do not ask; for scripts.")]
+_ValidOption = Annotated[
+    str | None, typer.Option("--valid", help="How long it is valid: `30 min`.")
+]
+_YesOption = Annotated[bool, typer.Option("--yes", help="Do not ask (for scripts).")]
 
 
 def preapprove_command(
@@ -65,10 +67,10 @@ def preapprove_command(
     counter: CounterOption = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Pre-approve low-risk actions, signed, before the robot asks; shows them and asks you.
+    """Approve low-risk actions before the robot asks: show them, ask, sign and send.
 
-    A pre-approval covers rows of one grant of one mission version, up to a largest risk, a number
-    of uses and an end. An action whose risk is tau_2 or more needs approvals of its own.
+    A pre-approval covers rows of one grant of one mission version, up to a highest risk, a number
+    of uses and an end. An action with a risk of tau_2 or more always needs its own approvals.
     """
     verified = opened_mission(token, trust, template)
     at, rows = wall_now(None), tuple(sorted(set(row or ())))

@@ -29,21 +29,21 @@ def reader_command(
     keyfile: Annotated[Path, typer.Argument(metavar="KEYFILE", help="A new file for the key.")],
     hybrid: Annotated[
         bool,
-        typer.Option("--hybrid", help="ML-KEM-768 with X25519: stays closed to quantum computers."),
+        typer.Option("--hybrid", help="ML-KEM-768 with X25519, against quantum computers."),
     ] = False,
     protect: Annotated[
-        bool, typer.Option("--protect", help="Ask for a passphrase that seals the file.")
+        bool, typer.Option("--protect", help="Ask for a passphrase and encrypt the file.")
     ] = False,
     passphrase_file: PassphraseFile = None,
     show: Annotated[
-        bool, typer.Option("--show", help="Print the public key of a file that is there.")
+        bool, typer.Option("--show", help="Print the public key of an existing file.")
     ] = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Make the key of a reader of sealed fields and say what the configuration has of it.
+    """Make the key of a reader of sealed fields; print its line for the gate configuration.
 
-    The private key stays with the reader; only the public one goes to the author of the gate
-    configuration. With a passphrase the file is sealed. With --show only the public key is printed.
+    The private key stays with the reader. The author of the gate configuration needs only the
+    public key. With --show, only the public key is printed.
     """
     if show:
         if hybrid or protect:

@@ -61,13 +61,13 @@ def recover_command(
     key: OrderKeyOption = None,
     cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask; for scripts.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask (for scripts).")] = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Let a gate go on with a store that was put back: signed, after it was looked at.
+    """Accept a store that was restored: show what is missing, ask, and sign the order.
 
-    Shows what the counter had seen and what is there. What the lost part used up is unknown: the
-    mission stays suspended until `resume`, and every other one has to be signed anew.
+    What the missing part consumed is unknown. The mission stays suspended until `resume`, and
+    every other mission must be signed again.
     """
     signer = signer_of(_DEMO, trust, key, cert, passphrase_file)
     with connected(gate, ReadingRole.OPERATOR, trust) as client:

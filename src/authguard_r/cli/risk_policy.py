@@ -45,7 +45,7 @@ from authguard_r.site.model import Site
 from authguard_r.site.source import convert, read_text, read_yaml
 from authguard_r.wire.output import emit
 
-SiteChoice = Annotated[Path, typer.Option("--site", help="The site, whose words it weighs.")]
+SiteChoice = Annotated[Path, typer.Option("--site", help="The site model.")]
 _DEFAULTS = """\
   region_tags: {hazardous: 60, private: 40, public: 0, restricted: 30, staff: 5}
   object_classes: {hazardous: 50, medicine: 5}
@@ -68,13 +68,15 @@ class RiskPolicyForm(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 
 def make_command(
-    organization: Annotated[str, typer.Option("--organization", help="Whose policy it is.")],
+    organization: Annotated[str, typer.Option("--organization", help="The organization.")],
     site: SiteChoice,
-    out: Annotated[Path, typer.Option("--out", help="Where to write it.")],
-    version: Annotated[int, typer.Option("--version", help="Grows with every change.", min=1)] = 1,
+    out: Annotated[Path, typer.Option("--out", help="File to write.")],
+    version: Annotated[
+        int, typer.Option("--version", help="Version; higher with every change.", min=1)
+    ] = 1,
     as_json: JsonFlag = False,
 ) -> int:
-    """Write a policy to edit and sign, with every action type of the site in it."""
+    """Create a policy with every action type of the site, to edit and sign."""
     types = ", ".join(f"{name}: 5" for name in sorted(load_site(site).vocabulary))
     text = f"organization: {organization}\nversion: {version}\npolicy:\n  types: {{{types}}}\n"
     write_whole(out, (text + _DEFAULTS).encode("utf-8"))
@@ -94,7 +96,7 @@ def sign_command(
     yes: YesOption = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show what is demanded, ask, and sign."""
+    """Show the policy, ask, and sign."""
     policy, signer = _read(file, load_site(site)), open_signer(key, cert, passphrase_file)
     return sign_kind(_KIND, policy, file, signer, trust=trust, out=out, yes=yes, as_json=as_json)
 
@@ -105,7 +107,7 @@ def show_command(
     now: NowOption = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show what is demanded; with --trust, once the signature holds."""
+    """Show the policy. With --trust, the signature must be valid."""
     return show_kind(_KIND, token, trust=trust, now=now, as_json=as_json)
 
 

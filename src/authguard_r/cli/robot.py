@@ -36,24 +36,28 @@ _FAULT_HELP = (
 
 def robot_command(
     site: SiteOption,
-    robot: Annotated[str, typer.Option("--robot", help="Which robot of the site it is.")],
+    robot: Annotated[str, typer.Option("--robot", help="The robot.")],
     run: RunOption,
     trust: TrustOption,
-    at: Annotated[str | None, typer.Option("--at", help="Where the robot stands.")] = None,
-    holding: Annotated[str | None, typer.Option("--holding", help="What it holds.")] = None,
+    at: Annotated[
+        str | None, typer.Option("--at", help="The region where the robot starts.")
+    ] = None,
+    holding: Annotated[
+        str | None, typer.Option("--holding", help="The object that the robot holds.")
+    ] = None,
     drift_to: Annotated[
-        str | None, typer.Option("--drift-to", help="Fault: the robot leaves its way.")
+        str | None, typer.Option("--drift-to", help="Fault: the robot drives to this region.")
     ] = None,
     fault: Annotated[list[str] | None, typer.Option("--fault", help=_FAULT_HELP)] = None,
     ignore_halt: Annotated[
-        bool, typer.Option("--ignore-halt", help="Fault: it carries out no stop.")
+        bool, typer.Option("--ignore-halt", help="Fault: the robot ignores stops.")
     ] = False,
     speed_up: Annotated[
-        int, typer.Option("--speed-up", min=1, max=1_000, help="The world's clock, for demos.")
+        int, typer.Option("--speed-up", min=1, max=1_000, help="Speed of the simulated clock.")
     ] = 1,
     as_json: JsonFlag = False,
 ) -> int:
-    """Be the symbolic robot until SIGTERM: obey only a gate that proves its key."""
+    """Run the simulated robot until SIGTERM. It obeys only a gate that proves its key."""
     from authguard_r.sim.process import run_robot
 
     model = load_site(site, trust)

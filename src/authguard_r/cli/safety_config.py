@@ -44,10 +44,10 @@ _LABELS = {"id", "version"}
 def make_command(
     site: SiteOption,
     robot: Annotated[str, typer.Option("--robot", help="The robot.")],
-    out: Annotated[Path, typer.Option("--out", help="Where to write it.")],
+    out: Annotated[Path, typer.Option("--out", help="File to write.")],
     as_json: JsonFlag = False,
 ) -> int:
-    """Write the envelope of the robot's own profile, to edit and sign."""
+    """Create a configuration from the robot's own profile, to edit and sign."""
     own = own_envelope(load_site(site), robot, where="--robot")
     write_whole(out, written(own).encode("utf-8"))
     emit(_payload(own, out), [*card(own), str(out)], as_json=as_json)
@@ -65,7 +65,7 @@ def sign_command(
     yes: YesOption = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show what is demanded, ask, and sign; a checker's user by name is this machine's."""
+    """Show the limits, ask, and sign. The user name of a checker is resolved on this machine."""
     model, where = load_site(site, trust), str(file)
     form = convert(read_yaml(read_text(file), where=where), SafetyForm, where=where)
     config, signer = read_form(form, model, where=where), open_signer(key, cert, passphrase_file)
@@ -91,7 +91,7 @@ def show_command(
     now: NowOption = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show what is demanded; with --trust, once a gate would take it."""
+    """Show the limits. With --trust, a gate must accept the configuration."""
     return show_kind(_KIND, token, trust=trust, now=now, as_json=as_json)
 
 

@@ -38,32 +38,30 @@ _DEMO = "site-authority-1"
 
 
 def shred_command(
-    mission: Annotated[
-        str, typer.Argument(help="The mission, or `-` for the records that are of none.")
-    ],
+    mission: Annotated[str, typer.Argument(help="The mission; `-`: records of no mission.")],
     data: Annotated[
-        list[DataClass], typer.Option("--class", help="What is destroyed; may be repeated.")
+        list[DataClass], typer.Option("--class", help="Class of data to destroy; repeatable.")
     ],
     trust: TrustOption,
     gate: GateOption = None,
     store: Annotated[
-        Path | None, typer.Option("--store", help="The robot's store, where no gate runs.")
+        Path | None, typer.Option("--store", help="The robot's store, if no gate runs.")
     ] = None,
     site: Annotated[
-        Path | None, typer.Option("--site", help="The site model; needed with --store.")
+        Path | None, typer.Option("--site", help="The site model; required with --store.")
     ] = None,
     robot: RobotOption = None,
     counter: CounterOption = None,
     key: OrderKeyOption = None,
     cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask; for scripts.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask (for scripts).")] = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Destroy sealed fields of a log for good: keys and boxes, in this store, for every reader.
+    """Destroy sealed fields of a log: their keys and their contents, for every reader.
 
-    The chain stays whole, and a record says who ordered it. What was copied before, a backup or an
-    export, is not reached: its readers open it as ever, so destroy those copies, too.
+    The chain stays complete, and a record names who ordered it. Copies that were made before, such
+    as backups and exports, stay readable: destroy them too.
     """
     classes = tuple(sorted(set(data)))
     signer = signer_of(_DEMO, trust, key, cert, passphrase_file)

@@ -56,25 +56,23 @@ ShownSite = Annotated[
     typer.Option(
         "--site",
         envvar="AUTHGUARD_SITE",
-        help="The site, to show card and lint; only --yes goes without.",
+        help="The site model, for card and findings; only --yes works without.",
     ),
 ]
 AcceptOption = Annotated[
     list[str] | None,
-    typer.Option("--accept", help="A lint error to sign nevertheless; may be repeated."),
+    typer.Option("--accept", help="Code of an error to accept; repeatable."),
 ]
 SignerTrust = Annotated[
     Path | None,
     typer.Option(
         "--trust",
         envvar="AUTHGUARD_TRUST",
-        help="The trust folder (default: the one that --cert lies in).",
+        help="The trust folder (default: the folder of --cert).",
     ),
 ]
-TokenOut = Annotated[Path | None, typer.Option("--out", help="Where to write the token.")]
-YesOption = Annotated[
-    bool, typer.Option("--yes", help="Do not ask; recorded as confirmed by a script.")
-]
+TokenOut = Annotated[Path | None, typer.Option("--out", help="File for the token.")]
+YesOption = Annotated[bool, typer.Option("--yes", help="Do not ask; the record says `script`.")]
 
 
 class SignerView(Struct, frozen=True, kw_only=True):
@@ -113,7 +111,7 @@ def sign_command(
     yes: YesOption = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show the card, ask, and sign. The structure is signed, never the sentence."""
+    """Show the card, ask, and sign. The signature covers the structure, not the sentence."""
     require_shown(site, yes=yes)
     opened, signer = read_unverified(mission), open_signer(key, cert, passphrase_file)
     require_issuer(opened, signer, trust_folder_of(trust, certificate_of(key, cert)))

@@ -48,11 +48,11 @@ OutOption = Annotated[Path, typer.Option("--out", help="Where to write the site 
 IdOption = Annotated[
     str | None, typer.Option("--id", help="The site's id (default: from the file's name).")
 ]
-FloorOption = Annotated[int, typer.Option("--floor", help="The floor that the file shows.")]
+FloorOption = Annotated[int, typer.Option("--floor", help="The floor.")]
 
 
 def check_command(site: SiteArgument, as_json: JsonFlag = False) -> int:
-    """Name every fault of a site model with its place."""
+    """Check a site model and print every fault with its place."""
     model = claimed_site(site)
     found, left = faults(model), unreviewed(model)
     payload = {
@@ -74,11 +74,11 @@ def check_command(site: SiteArgument, as_json: JsonFlag = False) -> int:
 def show_command(
     site: SiteArgument,
     svg: Annotated[
-        Path | None, typer.Option("--svg", help="Also draw the map into this file.")
+        Path | None, typer.Option("--svg", help="File for a drawing of the map.")
     ] = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show regions, objects, robots and words of a site model."""
+    """Show regions, objects, robots and names of a site model."""
     model = load_site(site)
     if svg is not None:
         write_whole(svg, picture(model).encode("utf-8"))
@@ -99,11 +99,11 @@ def show_command(
 
 
 def diff_command(
-    old: Annotated[Path, typer.Argument(help="The site as it was.")],
-    new: Annotated[Path, typer.Argument(help="The site as it is to be.")],
+    old: Annotated[Path, typer.Argument(help="The old version.")],
+    new: Annotated[Path, typer.Argument(help="The new version.")],
     as_json: JsonFlag = False,
 ) -> int:
-    """Show what a new version changes, what changes the meaning of a word first (exit 1)."""
+    """Show what a new version changes, changed meanings of names first (exit 1)."""
     before, after = load_site(old), load_site(new)
     found = changes(before, after)
     payload = {
@@ -120,10 +120,10 @@ def sign_command(
     key: KeyOption,
     cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Where to write the token.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="File for the token.")] = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Sign a site model that has no faults and nothing unreviewed."""
+    """Sign a site model. It must have no fault and no `unreviewed` entry."""
     model = load_site(site)
     token = sign_site(model, open_signer(key, cert, passphrase_file), where=str(site))
     target = out or site.with_suffix(".token")
@@ -139,7 +139,7 @@ def verify_command(
     now: NowOption = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Check certificate, signature and soundness of a signed site, and say whose it is."""
+    """Verify certificate and signature of a site model, check it, and print who signed it."""
     opened = read_signed_site(
         read_file(token), verifier=read_trust(trust), now=wall_now(now), where=str(token)
     )
@@ -164,13 +164,13 @@ def scene_graph_command(
     file: ForeignArgument,
     out: OutOption,
     radius: Annotated[
-        str, typer.Option("--radius", help="Half the side of a region's square, meters.")
+        str, typer.Option("--radius", help="Half the side of a region's square, in meters.")
     ] = "0.5",
     site_id: IdOption = None,
     floor: FloorOption = 0,
     as_json: JsonFlag = False,
 ) -> int:
-    """Draft a site from a scene graph (JSON: regions, objects, connections)."""
+    """Draft a site model from a scene graph (JSON: regions, objects, connections)."""
     proposal = import_scene(
         text_of(read_file(file), str(file)),
         site=_id(site_id, file),
@@ -185,13 +185,13 @@ def nav2_map_command(
     file: ForeignArgument,
     out: OutOption,
     min_area: Annotated[
-        str, typer.Option("--min-area", help="Free space that is smaller is left out, m2.")
+        str, typer.Option("--min-area", help="Ignore free space below this area, in m2.")
     ] = "1",
     site_id: IdOption = None,
     floor: FloorOption = 0,
     as_json: JsonFlag = False,
 ) -> int:
-    """Draft a site from a map server's map (YAML and PGM)."""
+    """Draft a site model from a map server's map (YAML and PGM)."""
     proposal = import_map(
         file,
         site=_id(site_id, file),

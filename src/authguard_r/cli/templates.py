@@ -101,11 +101,11 @@ def template_digest(template: Template) -> Digest:
 def compile_command(
     draft: Annotated[Path, typer.Argument(help="A template draft (YAML).")],
     site: SiteOption,
-    out: Annotated[Path | None, typer.Option("--out", help="Where to write it.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="File to write.")] = None,
     now: NowOption = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Turn a draft with holes into the canonical template, or ask what is open (exit 3)."""
+    """Compile a draft with holes to a template, or print the questions that are open (exit 3)."""
     plain = read_yaml(read_text(draft), where=str(draft))
     template = compile_template(plain, load_site(site), now=wall_now(now))
     target = out or draft.with_suffix(".template.json")
@@ -117,7 +117,7 @@ def compile_command(
 
 
 def review_command(template: TemplateFile, site: SiteOption, as_json: JsonFlag = False) -> int:
-    """Show the card: every hole with all its values, and every mission that they make."""
+    """Show the card: every hole with all its values, and every mission that results."""
     opened = read_template(template)
     missions = every_mission(opened)
     reading = _read(opened, missions, site)
@@ -144,7 +144,7 @@ def sign_command(
     yes: YesOption = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show every mission of it, ask once, and sign. Every combination is held to the schema."""
+    """Show every mission of a template, ask once, and sign. Every combination must be valid."""
     require_shown(site, yes=yes)
     opened, signer = read_template(template), open_signer(key, cert, passphrase_file)
     missions = every_mission(opened)
@@ -188,7 +188,7 @@ def _read(template: Template, missions: tuple[Mission, ...], site: Path | None) 
 
 
 def show_command(template: TemplateFile, as_json: JsonFlag = False) -> int:
-    """Print what a template says, without any claim that it is authentic."""
+    """Print the template in a token. The signature is not verified."""
     opened = read_template(template)
     payload: dict[str, Any] = {
         "template": msgspec.to_builtins(opened),
@@ -207,10 +207,12 @@ def issue_command(
     template: SignedTemplate,
     trust: TrustOption,
     name: Annotated[str, typer.Option("--name", help="The scheduler's name.")] = "scheduler-1",
-    days: Annotated[int, typer.Option("--days", help="How long it may fill.", min=1)] = 30,
+    days: Annotated[
+        int, typer.Option("--days", help="Days that the certificate is valid.", min=1)
+    ] = 30,
     as_json: JsonFlag = False,
 ) -> int:
-    """Write a scheduler's key and a certificate that is bound to this template (demo folder)."""
+    """Make a scheduler's key and a certificate that is bound to this template (demonstration)."""
     at = wall_now(None)
     held = open_template(
         read_file(template), verifier=read_trust(trust), now=at, roles=ISSUER_ROLES
@@ -236,7 +238,7 @@ def admit_command(
     new: NewOption = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Let a robot take a signed template in; its scheduler may fill it from then on."""
+    """Give the gate a signed template; from then on its scheduler may fill it in."""
     data, beside = read_file(template), beside_token(template)
     said = read_file(beside) if beside.exists() else None
     if said is None:
@@ -261,7 +263,7 @@ def withdraw_command(
     counter: CounterOption = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """End a template for good, signed: no mission of it any more, the active one included."""
+    """End a template with a signed order; all its missions end, the active one too."""
     opened = read_template(template)
     signer = signer_of(opened.mission["issuer"], trust, key, cert, passphrase_file)
     command = Command(

@@ -47,15 +47,16 @@ def watch_command(
     verbose: Annotated[
         bool, typer.Option("--verbose", help="Show clients that connect and leave, too.")
     ] = False,
-    jsonl: Annotated[bool, typer.Option("--jsonl", help="One event a line, as JSON.")] = False,
+    jsonl: Annotated[bool, typer.Option("--jsonl", help="One JSON object for each event.")] = False,
     count: Annotated[
-        int | None, typer.Option("--count", help="Leave after so many events.", min=1)
+        int | None, typer.Option("--count", help="End after this number of events.", min=1)
     ] = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show what happens at a gate until interrupted: live at a terminal, else line by line.
+    """Show decisions, requests and alerts at a gate until you interrupt it.
 
-    With --json all events come at the end, as one object. JSON holds every event.
+    At a terminal this is a live view, else one line for each event. With --json all events are
+    printed at the end, as one object. JSON output has every event.
     """
     seen: list[dict[str, Any]] = []
     hidden = frozenset[str]() if verbose or jsonl or as_json else _NOISE

@@ -19,23 +19,25 @@ from missionpair.approvers import Policy, Script, read_delay
 
 def approvers_command(
     socket: Annotated[Path, typer.Option("--gate", help="The gate's socket.")],
-    trust: Annotated[Path, typer.Option("--trust", help="The demo folder with their keys.")],
-    people: Annotated[list[str], typer.Option("--as", help="Who answers; may be repeated.")],
+    trust: Annotated[Path, typer.Option("--trust", help="The demonstration's trust folder.")],
+    people: Annotated[list[str], typer.Option("--as", help="Person who answers; repeatable.")],
     delay: Annotated[
         str, typer.Option("--delay", help="fixed:2s, exponential:3s or lognormal:5s,0.8.")
     ] = "fixed:0s",
-    seed: Annotated[int, typer.Option("--seed", help="Of the delays.")] = 0,
-    most_risk: Annotated[int, typer.Option("--most-risk", help="Deny what is riskier.")] = 1 << 30,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of the delays.")] = 0,
+    most_risk: Annotated[
+        int, typer.Option("--most-risk", help="Deny requests with a higher risk.")
+    ] = 1 << 30,
     count: Annotated[
-        int | None, typer.Option("--count", help="Leave after so many answers.", min=1)
+        int | None, typer.Option("--count", help="End after this number of answers.", min=1)
     ] = None,
     as_json: Annotated[  # noqa: ARG001 - there is no other form, and every command takes it
-        bool, typer.Option("--json", help="Its only form: one JSON object for each answer.")
+        bool, typer.Option("--json", help="The output is always JSON: one object for each answer.")
     ] = False,
 ) -> int:
     """Answer a gate's approval requests by a script; one JSON object for each answer.
 
-    Waiting and machine time are separate: `waited_ms` was drawn, `machine_us` was work.
+    `waited_ms` is the person's time, drawn at random; `machine_us` is the machine's work.
     """
     try:
         drawn = read_delay(delay)

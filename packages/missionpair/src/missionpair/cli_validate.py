@@ -26,11 +26,9 @@ from missionpair.tables import MeasuredTrial, as_text, category_table, results_t
 def validate_command(
     remove: Annotated[
         list[str] | None,
-        typer.Option("--without", help="Remove a check from the gate first; may be repeated."),
+        typer.Option("--without", help="Remove this check of the gate; repeatable."),
     ] = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object, nothing else.")
-    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> int:
     """Run the hand-constructed suite under three systems and print the paper's two tables."""
     unknown = sorted(set(remove or ()) - set(CHECKS))
