@@ -226,8 +226,8 @@ def test_a_status_that_says_little_is_shown_as_far_as_it_goes() -> None:
     assert "no active mission" in status_lines({})
     assert "disk: free 5" in status_lines({"disk": {"free": 5}})
     assert "DAMAGED: it" in status_lines({"damaged": ["it"]})
-    assert "stop lane: answers" in status_lines({"lane": {"alive": True}})
-    assert "STOP LANE: DOES NOT ANSWER" in status_lines({"lane": {"alive": False}})
+    assert "stop process: answers" in status_lines({"lane": {"alive": True}})
+    assert "STOP PROCESS: DOES NOT ANSWER" in status_lines({"lane": {"alive": False}})
     assert "up ?" in status_lines({})[0]
 
 

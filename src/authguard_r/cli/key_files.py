@@ -61,7 +61,7 @@ def unprotect_command(
         raise _refused("the key is not sealed", keyfile)
     passphrase = passphrase_of(passphrase_file)
     if passphrase is None:
-        raise typer.BadParameter("nobody is there to ask", param_hint="--passphrase-file")
+        raise typer.BadParameter("no terminal to ask at", param_hint="--passphrase-file")
     plain = unseal(data, passphrase(str(keyfile)), where=str(keyfile))
     _write(keyfile, out, plain, say="plain", as_json=as_json)
     return 0
@@ -90,7 +90,7 @@ def _new_passphrase(keyfile: Path, path: Path | None) -> str:
     if path is not None:
         return read_passphrase(path)
     if passphrase_of(None) is None:
-        raise typer.BadParameter("nobody is there to ask", param_hint="--passphrase-file")
+        raise typer.BadParameter("no terminal to ask at", param_hint="--passphrase-file")
     return ask_new_passphrase(str(keyfile))
 
 

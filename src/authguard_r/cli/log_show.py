@@ -232,7 +232,7 @@ def _shown(rows: Iterator[LogRow], wanted: RecordFilter, out: Listing, opening: 
             has = wanted.has(record, values)
             timeline.see(row, record, values, wanted=has, closed=closed)
         except (AttributeError, TypeError, ValueError) as error:
-            text = f"expected what such a record holds: {error}"
+            text = f"expected the fields of such a record: {error}"
             raise MalformedError(text, where=f"record {row.seq}") from error
     timeline.close()
     return count

@@ -44,8 +44,7 @@ _CheckpointOption = Annotated[
     list[Path] | None,
     typer.Option(
         "--checkpoint",
-        help="A checkpoint that was kept elsewhere: a signed note, or a signed terminal "
-        "digest. May be repeated.",
+        help="A checkpoint from elsewhere: a signed note or terminal digest; repeatable.",
     ),
 ]
 _KeyOption = Annotated[

@@ -79,7 +79,7 @@ def _make(
         passphrase = read_passphrase(passphrase_file)
     elif protect:
         if passphrase_of(None) is None:
-            raise typer.BadParameter("nobody is there to ask", param_hint="--passphrase-file")
+            raise typer.BadParameter("no terminal to ask at", param_hint="--passphrase-file")
         passphrase = ask_new_passphrase(str(keyfile))
     key = new_reader(hybrid=hybrid)
     data = key.pem() if passphrase is None else seal(key.pem(), passphrase)

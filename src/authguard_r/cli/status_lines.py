@@ -186,7 +186,7 @@ def _stop_process_lines(lane: Any) -> list[str]:
     if not isinstance(lane, dict):
         return []
     alive = lane.get("alive") is True
-    return ["stop lane: answers" if alive else "STOP LANE: DOES NOT ANSWER"]
+    return ["stop process: answers" if alive else "STOP PROCESS: DOES NOT ANSWER"]
 
 
 def _anchor_lines(anchor: Any) -> list[str]:
