@@ -269,7 +269,7 @@ def test_approvals_from_the_command_line(
     assert (code, told["counts"], told["behind"]) == (0, True, 2)
     assert reasons(planner) == []
     code, told = authguard(capsys, *words, *keys("supervisor-1"))
-    assert (code, told["error"]["code"]) == (1, "APPROVAL_TIMEOUT")
+    assert (code, told["error"]["code"]) == (1, "VALUE_OUT_OF_RANGE")
 
 
 def test_a_denial_from_the_command_line_needs_a_reason(
