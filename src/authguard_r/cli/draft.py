@@ -78,13 +78,23 @@ def draft_command(
     else:
         chosen = _model(proposer, base_url, model, api_key_env, timeout)
     asks = may_ask(as_json=as_json, no_input=no_input)
+    typed: dict[str, DraftQuestion] = {}
     while True:
-        proposal = chosen.propose(sentence, place, robot=robot, settled=settled)
+        try:
+            proposal = chosen.propose(sentence, place, robot=robot, settled=settled)
+        except MalformedError as error:
+            wrong = [field for field in typed if error.where.startswith(field)]
+            if not wrong:
+                raise
+            _tell(f"{error.message} (at {error.where})")
+            settled |= {field: _prompt(typed[field]) for field in wrong}
+            continue
         if not proposal.questions:
             break
         again = any(question.field in settled for question in proposal.questions)
         if not asks or again:  # no answer settles what was answered and is asked again
             raise clarification(proposal.questions)
+        typed |= {question.field: question for question in proposal.questions}
         settled |= {question.field: _prompt(question) for question in proposal.questions}
     return _show(proposal, out, as_json=as_json)
 
