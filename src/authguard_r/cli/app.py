@@ -10,7 +10,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any, Final
 
-from authguard_r.operations.command_tree import Entry, Program, command_tree
+from authguard_r.operations.command_tree import CommandEntry, Program, command_tree
 
 #: What each group is about.
 GROUPS: Final = {
@@ -38,7 +38,7 @@ GROUPS: Final = {
 
 #: Each command by its words, with the module and function that it is, and its line in a list.
 COMMANDS: Final = {
-    words: Entry(*told)
+    words: CommandEntry(*told)
     for words, told in {
         "status": ("operate:status", "Show the robot, the mission and what needs an answer"),
         "watch": ("watch:watch", "Show decisions, requests and alerts as they happen"),

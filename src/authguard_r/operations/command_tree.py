@@ -23,7 +23,7 @@ PREFIX = "AUTHGUARD_"
 LINE = 58
 
 
-class Entry(NamedTuple):
+class CommandEntry(NamedTuple):
     """One command.
 
     Args:
@@ -55,7 +55,7 @@ class Program(NamedTuple):
     package: str
     distribution: str
     help: str
-    commands: Mapping[str, Entry]
+    commands: Mapping[str, CommandEntry]
     groups: Mapping[str, str]
     sections: Mapping[str, tuple[str, ...]]
     services: frozenset[str] = frozenset()
@@ -97,7 +97,7 @@ class Commands(Mapping[str, Any]):
             if entry is None:
                 below: Any = Commands(self.program, words)
                 told = self.program.groups[" ".join(words)]
-                self._found[name] = Branch(name=name, help=told, commands=below, **_PLAIN)
+                self._found[name] = CommandGroup(name=name, help=told, commands=below, **_PLAIN)
             else:
                 made = self._found[name] = _leaf(f"{self.program.package}.{entry.place}", name)
                 if " ".join(words) in self.program.services:
@@ -120,7 +120,7 @@ class Commands(Mapping[str, Any]):
             yield heading, [(name, self.help(name)) for name in names]
 
 
-class Branch(TyperGroup):
+class CommandGroup(TyperGroup):
     """A group of commands; called without arguments it prints its help."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -144,7 +144,7 @@ class Branch(TyperGroup):
         return colored(super().get_help(ctx))
 
 
-class Leaf(TyperCommand):
+class ProgramCommand(TyperCommand):
     """A command; options with a variable have a default in `authguard.toml`, too."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -235,7 +235,7 @@ def command_tree(program: Program, first: str = "") -> TyperGroup:
     app = typer.Typer(
         name=program.name,
         help=program.help,
-        cls=Branch,
+        cls=CommandGroup,
         context_settings={"help_option_names": ["-h", "--help"]},
         add_completion=not is_command,
         **_PLAIN,
@@ -270,7 +270,7 @@ def _leaf(place: str, name: str) -> TyperCommand:
     """Return one command: its function is imported here."""
     module, _, function = place.partition(":")
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, **_PLAIN)
-    app.command(name, cls=Leaf)(getattr(import_module(module), f"{function}_command"))
+    app.command(name, cls=ProgramCommand)(getattr(import_module(module), f"{function}_command"))
     made: Any = typer.main.get_command(app)
     return made  # type: ignore[no-any-return]
 

@@ -9,12 +9,12 @@ from typing import Any, Final, NoReturn
 import typer
 from typer.exceptions import TyperException
 
-from authguard_r.operations.command_tree import Entry, Program, command_tree
+from authguard_r.operations.command_tree import CommandEntry, Program, command_tree
 from authguard_r.operations.usage import message_of, place_of
 from missionpair.faults import FAULTS, USAGE, CommandFault, fault_of
 
 COMMANDS: Final = {
-    words: Entry(*told)
+    words: CommandEntry(*told)
     for words, told in {
         "validate": ("cli_validate:validate", "Reproduce the paper's two tables"),
         "run": ("cli_run:run", "Attack a planner with every pair of a suite"),
