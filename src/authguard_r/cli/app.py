@@ -76,6 +76,7 @@ COMMANDS: Final = {
         "approvals watch": ("approvals:watch", "Show requests and answers as they happen"),
         "approvals preapprove": ("preapprove:preapprove", "Approve low-risk actions ahead"),
         "demo": ("demo:demo", "Run the hospital story on the simulated robot"),
+        "examples": ("examples:examples", "Copy the example files to a folder"),
         "init": ("init:init", "Create a set-up for your tools that refuses every call"),
         "learn": ("learn:learn", "Propose a binding and a mission from a shadow run"),
         "site check": ("site:check", "Check a site model; name every fault"),
@@ -171,7 +172,7 @@ AUTHGUARD: Final = Program(
     sections={
         "For operators": ("status", "watch", "explain", "stop", "resume", "mission", "approvals"),
         "For engineers": (
-            *("demo", "init", "site", "binding", "normalize", "decide", "run"),
+            *("demo", "examples", "init", "site", "binding", "normalize", "decide", "run"),
             *("learn", "mcp", "serve", "ros", "robot", "estimator"),
         ),
         "For auditors": ("audit", "witness"),
