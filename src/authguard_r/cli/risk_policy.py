@@ -24,7 +24,7 @@ from authguard_r.authoring.compile.grants import GrantWords
 from authguard_r.authoring.compile.names import names_of
 from authguard_r.authoring.compile.questions import CompileQuestions
 from authguard_r.authoring.compile.totals import build_risk
-from authguard_r.cli.inputs import JsonFlag, NowOption, load_site, wall_now
+from authguard_r.cli.inputs import JsonFlag, NowOption, SiteOption, load_site, wall_now
 from authguard_r.cli.signed_kinds import (
     OutOption,
     SignedKind,
@@ -45,7 +45,6 @@ from authguard_r.site.model import Site
 from authguard_r.site.source import convert, read_text, read_yaml
 from authguard_r.wire.output import emit
 
-SiteChoice = Annotated[Path, typer.Option("--site", help="The site model.")]
 _DEFAULTS = """\
   region_tags: {hazardous: 60, private: 40, public: 0, restricted: 30, staff: 5}
   object_classes: {hazardous: 50, medicine: 5}
@@ -69,7 +68,7 @@ class RiskPolicyForm(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 def make_command(
     organization: Annotated[str, typer.Option("--organization", help="The organization.")],
-    site: SiteChoice,
+    site: SiteOption,
     out: Annotated[Path, typer.Option("--out", help="File to write.")],
     version: Annotated[
         int, typer.Option("--version", help="Version; higher with every change.", min=1)
@@ -87,7 +86,7 @@ def make_command(
 
 def sign_command(
     file: Annotated[Path, typer.Argument(help="A policy as `make` wrote it (YAML).")],
-    site: SiteChoice,
+    site: SiteOption,
     key: KeyOption,
     cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
