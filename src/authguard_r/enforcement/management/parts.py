@@ -172,9 +172,8 @@ def require_newest(act: Transaction, key: str, issued_ms: int, *, over_ms: int =
     """
     newest_ms = max(int(act.get("order", key) or 0), over_ms)
     if issued_ms <= newest_ms:
-        early = f"signed at {to_timestamp(issued_ms)}, {newest_ms - issued_ms} ms before"
-        signed = f"{early} what it would undo" if issued_ms else "signed at no known time"
-        text = f"{signed}; expected later than {to_timestamp(newest_ms)}: sign it anew"
+        when = f"{newest_ms - issued_ms} ms before" if issued_ms else "at no known time before"
+        text = f"signed {when} what it would undo, {to_timestamp(newest_ms)}: sign it anew"
         raise refuse(Reason.ORDER_TOO_OLD, text, f"{key.rpartition('/')[2]}.issued_ms")
     # a narrowing by a clock that runs far ahead prevents no later order
     held_ms = issued_ms if issued_ms <= act.now.utc_ms + LIMITS.skew_ms else act.now.utc_ms
