@@ -498,7 +498,7 @@ def test_a_sealed_share_signs_with_its_passphrase_alone(desk: Desk) -> None:
     assert "sealed already" in desk.refused(
         "advanced", "frost", "protect", path, "--passphrase-file", "words", code=1
     )
-    assert "the share is sealed" in desk.refused(*share_words("ana", signers), "--yes", code=5)
+    assert "the share is encrypted" in desk.refused(*share_words("ana", signers), "--yes", code=5)
     desk.done(*share_words("ana", signers), "--yes", "--passphrase-file", "words")
 
 
@@ -541,7 +541,7 @@ def test_a_sealed_share_is_looked_at_with_its_passphrase(desk: Desk) -> None:
     share, words = "dealt/ana.share.json", ("--passphrase-file", "said")
     desk.done("advanced", "frost", "protect", share, *words)
     said = desk.refused("advanced", "frost", "show", share, code=5)
-    assert ("sealed" in said, "--passphrase-file" in said) == (True, True)
+    assert ("encrypted" in said, "--passphrase-file" in said) == (True, True)
     assert desk.done("advanced", "frost", "show", share, *words)["member"] == "ana"
     Path("said").write_text("others than these\n")
     assert "KEY_INVALID" in desk.refused("advanced", "frost", "show", share, *words, code=4)

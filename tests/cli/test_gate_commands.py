@@ -192,7 +192,7 @@ def test_the_old_variable_works_for_one_version(shell: Shell, monkeypatch: Any) 
     with listening(serving({Kind.STATUS: STATUS})) as path:
         monkeypatch.setenv("AUTHGUARD_RUN", str(path.parent))
         code, text = shell("status")
-        assert (code, text.partition(";")[0]) == (0, "AUTHGUARD_RUN is now AUTHGUARD_GATE")
+        assert (code, "AUTHGUARD_RUN is now AUTHGUARD_GATE" in text) == (0, True)
 
 
 def test_status_tells_a_person_how_things_stand(shell: Shell) -> None:

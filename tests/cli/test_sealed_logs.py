@@ -596,7 +596,7 @@ def test_a_passphrase_seals_the_file(
 ) -> None:
     path = tmp_path / "r.key.pem"
     code, text = say("audit", "reader", path, "--protect")
-    assert (code, "nobody is there" in text, path.exists()) == (2, True, False)
+    assert (code, "no terminal to ask at" in text, path.exists()) == (2, True, False)
     typed = iter([SAID, f"{SAID}!", SAID, SAID])
     monkeypatch.setattr("getpass.getpass", lambda _: next(typed))
     code, text = say("audit", "reader", path, "--protect", stdin=Terminal())

@@ -129,7 +129,7 @@ def test_what_an_approver_says_reaches_the_log_and_no_planner(gate: RunningGate)
     with gate.client(ClientRole.OPERATOR, "console") as console:
         assert reasons(planner) == ["APPROVAL_REQUIRED"]
         (question,) = console.approvals()
-        with pytest.raises(RefusedError, match="says why"):
+        with pytest.raises(RefusedError, match="needs a reason"):
             console.answer(question, ApprovalVerdict.DENY, key("supervisor-1"))
         console.answer(question, ApprovalVerdict.DENY, key("supervisor-1"), why=WORDS)
         assert console.approval(question.counter).denied

@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 import re
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 from msgspec import inspect
@@ -20,6 +20,7 @@ _PLAIN_TYPES = {
     inspect.BoolType: bool,
     inspect.NoneType: type(None),
 }
+_BOUNDS = ("ge", "gt", "le", "lt", "multiple_of", "pattern", "min_length", "max_length")
 _ENUM = "Invalid enum value "
 
 
@@ -88,6 +89,10 @@ def _fits(value: Any, node: Any) -> bool:
         is_list = isinstance(value, list) and len(value) >= (node.min_length or 0)
         return is_list and all(_fits(item, node.item_type) for item in value)
     kind = getattr(node, "cls", None) or _PLAIN_TYPES.get(type(node), Any)
+    bounds = {name: getattr(node, name, None) for name in _BOUNDS}
+    if kind in {int, str}:
+        bounds = {name: bound for name, bound in bounds.items() if bound is not None}
+        kind = Annotated[kind, msgspec.Meta(**bounds)]
     try:
         msgspec.convert(value, kind)
     except msgspec.ValidationError:

@@ -259,22 +259,22 @@ def test_data_that_is_no_binding_is_malformed_in_its_place() -> None:
         (lambda: changed("scan", fixed={"x": "Dock"}), "binding:tools.scan.fixed.x"),
         (
             lambda: argument("wait", "seconds", use="ignored"),
-            "binding:tools[...].arguments[...].use",
+            "binding:tools.wait.arguments.seconds.use",
         ),
         (
             lambda: argument("wait", "seconds", optional=1),
-            "binding:tools[...].arguments[...].optional",
+            "binding:tools.wait.arguments.seconds.optional",
         ),
         (
             lambda: argument("wait", "seconds", default=0.5),
-            "binding:tools[...].arguments[...].default",
+            "binding:tools.wait.arguments.seconds.default",
         ),
         (
             lambda: argument("wait", "seconds", per_unit=1000),
-            "binding:tools[...].arguments[...].per_unit",
+            "binding:tools.wait.arguments.seconds.per_unit",
         ),
-        (lambda: argument("wait", "seconds", unit="s"), "binding:tools[...].arguments[...]"),
-        (lambda: argument("wait", "why", to=""), "binding:tools[...].arguments[...]"),
+        (lambda: argument("wait", "seconds", unit="s"), "binding:tools.wait.arguments.seconds"),
+        (lambda: argument("wait", "why", to=""), "binding:tools.wait.arguments.why"),
     ]:
         with case(data, where):
             with pytest.raises(MalformedError) as caught:
