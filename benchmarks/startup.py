@@ -18,7 +18,6 @@ import sys
 from pathlib import Path
 
 import machine
-
 from authguard_r.cli.app import COMMANDS, GROUPS
 from missionpair.cli import COMMANDS as MISSIONPAIR
 
@@ -43,7 +42,9 @@ def processor_time(line: list[object]) -> float:
 
 def main() -> int:
     """Measure, print the slowest commands, and return the exit code."""
-    asks = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    asks = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
     asks.add_argument("--rounds", type=int, default=3, help="turns (default: 3)")
     asks.add_argument("--json", type=Path, help="write the results here")
     asks.add_argument("--require", type=float, metavar="SECONDS", help="exit 1 above this")
