@@ -14,7 +14,7 @@ from msgspec import inspect
 
 #: One step of a place: `.field`, `[3]` of a list, or `[...]` of a mapping.
 _STEP = re.compile(r"\.[^.\[]+|\[[^\]]*\]")
-_PLAIN_TYPES = {
+_PLAIN_TYPES: dict[Any, Any] = {
     inspect.IntType: int,
     inspect.StrType: str,
     inspect.BoolType: bool,
