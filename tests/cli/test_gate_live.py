@@ -223,7 +223,7 @@ def has_come(process: subprocess.Popen[bytes]) -> bool:
 
 def test_watch_ends_with_the_gate(quick: Desk) -> None:
     told: list[tuple[int, str]] = []
-    words = [str(AUTHGUARD), "watch", *(str(word) for word in quick.at)]
+    words = [str(AUTHGUARD), "watch", "--verbose", *(str(word) for word in quick.at)]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as process:
         until(lambda: any(c["client"].endswith(".cli") for c in watchers(quick)), "the watcher")
         until(lambda: quick.status() and has_come(process), "an event: it is here, and watches")
