@@ -145,7 +145,7 @@ def gateway(gate: gate_process.RunningGate, *more: Any) -> list[Any]:
         "mcp",
         "--robot",
         gate.rid,
-        "--run",
+        "--gate",
         gate.run,
         "--site",
         gate.site,

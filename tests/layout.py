@@ -224,6 +224,7 @@ def _used(path: Path) -> Iterator[str]:
             yield node.attr
         elif isinstance(node, ast.Constant) and isinstance(node.value, str) and ":" in node.value:
             yield node.value.rpartition(":")[2]
+            yield f"{node.value.rpartition(':')[2]}_command"  # a table of commands leaves it out
 
 
 def _documented() -> set[str]:

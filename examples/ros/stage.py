@@ -261,7 +261,7 @@ class Stage:
         words = ["--robot", ROBOT, "--trust", trust, "--out", config]
         self.authguard("gate-config", "make", "--demo", *words)
         binding = str(HERE / "binding.yaml")
-        places = ["--site", site, "--trust", trust, "--run", run]
+        places = ["--site", site, "--trust", trust, "--gate", run]
         files = ["--binding", binding, "--config", config, "--store", str(self.store)]
         self.gate = self._add(
             "gate", [*CLI, "gate", *places, *files, "--robot", ROBOT, "--demo", "--json"]

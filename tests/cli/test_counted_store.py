@@ -11,7 +11,7 @@ import pytest
 
 from authguard_r.anchoring.evidence import BY_COUNTER, BY_STORE, SAID, Discrepancy
 from authguard_r.audit.record import read_record
-from authguard_r.cli.operate import status_lines
+from authguard_r.cli.status_lines import status_lines
 from authguard_r.client import stopping
 from authguard_r.store.sqlite import open_store, read_rows
 from authguard_r.wire.messages import Kind
@@ -62,7 +62,7 @@ def log() -> list[tuple[str, str]]:
         ("mission", "resolve", "m.token", *ON, "--ticket", "T" * 43, "--outcome", "aborted"),
         ("stop", *ON),
         ("run", "--token", "m.token", *ON, *PLAN),
-        ("frost", "ballot", "1", "--out", "b.json", *ON),
+        ("advanced", "frost", "ballot", "1", "--out", "b.json", *ON),
     ],
     ids=lambda words: " ".join(words[:2]),
 )
@@ -100,7 +100,7 @@ def test_a_store_that_really_was_put_back_is_still_recorded(shell: Shell, counte
 
 
 def gate_words(config: str, *more: str) -> tuple[str, ...]:
-    on = ("--demo", "--simulate", "--robot", scenarios.RID, "--trust", "trust", "--run", "run")
+    on = ("--demo", "--simulate", "--robot", scenarios.RID, "--trust", "trust", "--gate", "run")
     return ("gate", *on, *SITE, "--binding", "h/binding.yaml", "--config", config, *more)
 
 
@@ -142,7 +142,7 @@ def test_each_doubt_names_its_own_way_out() -> None:
     for why in list(Discrepancy):
         with case(why):
             said = {"state": "put_back", "why": str(why), "message": SAID[why]}
-            head, way = status_lines({"anchor": said})[-3:-1]
+            head, way = status_lines({"anchor": said})[1:3]
             assert head.endswith(SAID[why])
             signed_away = why not in {Discrepancy.COUNTER_UNREADABLE, Discrepancy.COUNTER_NOT_NAMED}
             assert ("authguard recover" in way) is signed_away

@@ -59,7 +59,7 @@ def demo(tmp_path: Path, monkeypatch: Any) -> list[str]:
     return [
         *("--trust", "trust", "--site", str(scenarios.HOSPITAL / "site.yaml")),
         *("--binding", str(scenarios.HOSPITAL / "binding.yaml"), "--store", "robot.db"),
-        *("--run", "run", "--config", "gate.token", "--key", "trust/keys/gate-courier-1.key.pem"),
+        *("--gate", "run", "--config", "gate.token", "--key", "trust/keys/gate-courier-1.key.pem"),
         *("--cert", "trust/keys/gate-courier-1.cert.pem"),
     ]
 
@@ -85,7 +85,7 @@ def test_a_store_that_is_not_there_is_said_and_no_mend_has_to_be_guessed(
     binding, site = demo[demo.index("--binding") + 1], demo[demo.index("--site") + 1]
     assert mend == f"authguard binding check {binding} --site {site} --interface FILE"
     Path("file").write_text("")
-    demo[demo.index("--run") + 1] = "file"
+    demo[demo.index("--gate") + 1] = "file"
     code, told = doctor(capsys, *demo)
     assert (code, "expected a folder" in str(told["advice"])) == (5, True)
 
@@ -156,7 +156,7 @@ def test_a_robots_own_folders_are_safe_for_its_user_alone(
     setup = robot(tmp_path)
     words = [
         *("--trust", str(setup.trust), "--key", str(setup.key), "--cert", str(setup.chain)),
-        *("--store", str(setup.store), "--run", str(setup.run)),
+        *("--store", str(setup.store), "--gate", str(setup.run)),
     ]
     code, told = doctor(capsys, *words, "--user", str(ME))
     assert (code, codes(told, "unsafe")) == (0, set())

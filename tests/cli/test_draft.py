@@ -160,6 +160,14 @@ def test_a_question_that_no_answer_settles_is_not_asked_for_ever(console: Consol
     assert err.count("say it otherwise (condition)") == 1
 
 
+def test_a_bad_answer_is_asked_for_again_and_the_others_stay(console: Console) -> None:
+    code, out, err = console("go to station 101", *GIVEN, typed="soon\n5 min\n")
+    assert code == 0
+    assert yaml.safe_load(out)["window"] == {"for": "5 min"}
+    assert err.count("How long, or until which instant") == 2
+    assert "`soon`" in err
+
+
 ESCAPES = "\x1b[2J\x07\u202e\nforged"
 
 

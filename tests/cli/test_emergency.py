@@ -34,12 +34,12 @@ def test_the_shipped_policy_is_sound_at_the_marked_site_alone(
     site: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     shipped = scenarios.HOSPITAL / "emergency.yaml"
-    assert run(capsys, "emergency", "policy", "lint", shipped, "--site", site) == (
+    assert run(capsys, "emergency", "policy", "check", shipped, "--site", site) == (
         0,
         {"findings": []},
     )
     plain = scenarios.HOSPITAL / "site.yaml"
-    code, told = run(capsys, "emergency", "policy", "lint", shipped, "--site", plain)
+    code, told = run(capsys, "emergency", "policy", "check", shipped, "--site", plain)
     assert code == 1
     assert [found["where"] for found in told["findings"]] == [
         "emergency.capabilities[0].destination"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`authguard frost`: each person's step, and what each refuses."""
+"""`authguard advanced frost`: each person's step, and what each refuses."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def members(names: tuple[str, ...] = PEOPLE) -> list[str]:
 
 def dealt(desk: Desk, *, threshold: int = 2) -> None:
     group = ("--group", "board-1", "--threshold", str(threshold))
-    desk.done("frost", "deal", *group, *members(), "--out", "dealt")
+    desk.done("advanced", "frost", "deal", *group, *members(), "--out", "dealt")
 
 
 def asked(desk: Desk, *, needed: int = 3) -> list[str]:
@@ -102,19 +102,20 @@ def run(desk: Desk) -> tuple[int, Any]:
 def certified(desk: Desk) -> None:
     scope = ("--every-robot", "--every-region")
     group = ("--group", "dealt/group.json", "--role", "supervisor")
-    desk.done("frost", "certify", "--trust", "trust", *group, *scope, "--yes")
+    desk.done("advanced", "frost", "certify", "--trust", "trust", *group, *scope, "--yes")
 
 
 def commitments(desk: Desk, *names: str) -> list[str]:
     for name in names:
         share = ("--share", f"dealt/{name}.share.json", "--nonces", f"{name}.nonces")
-        desk.done("frost", "commit", *share, "--out", f"{name}.commitment.json")
+        desk.done("advanced", "frost", "commit", *share, "--out", f"{name}.commitment.json")
     return [word for name in names for word in ("--commitment", f"{name}.commitment.json")]
 
 
 def share_words(name: str, signers: list[str]) -> list[str]:
     own = ["--share", f"dealt/{name}.share.json", "--nonces", f"{name}.nonces"]
     return [
+        "advanced",
         "frost",
         "share",
         *own,
@@ -130,6 +131,7 @@ def aggregate_words(*names: str, signers: list[str], cert: str = "board-1") -> l
     parts = [word for name in names for word in ("--part", f"{name}.part.json")]
     told = ["--group", "dealt/group.json", "--cert", f"trust/keys/{cert}.cert.pem"]
     return [
+        "advanced",
         "frost",
         "aggregate",
         *told,
@@ -149,7 +151,7 @@ def ready(
     dealt(desk)
     place = asked(desk, needed=needed)
     certified(desk)
-    desk.done("frost", "ballot", "1", *place, "--out", "ballot.json", *more)
+    desk.done("advanced", "frost", "ballot", "1", *place, "--out", "ballot.json", *more)
     return place, commitments(desk, "ana", "cho")
 
 
@@ -160,7 +162,7 @@ def test_two_of_three_approve_with_files_that_move(desk: Desk) -> None:
         assert said["ballot"]["scope"]["destination"] == "pharmacy"
     said = desk.done(*aggregate_words("ana", "cho", signers=signers))
     assert (said["group"], said["signers"]) == ("board-1", ["ana", "cho"])
-    told = desk.done("frost", "submit", "a.token", *place)
+    told = desk.done("advanced", "frost", "submit", "a.token", *place)
     assert (told["approver"], told["counts"]) == ("board-1", True)
     code, said = run(desk)
     assert (code, said["robot"]["region"]) == (0, "pharmacy")
@@ -171,9 +173,9 @@ def test_an_answer_that_does_not_count_is_exit_1_and_says_why(desk: Desk) -> Non
     for name in ("ana", "cho"):
         desk.done(*share_words(name, signers), "--yes")
     desk.done(*aggregate_words("ana", "cho", signers=signers))
-    desk.done("frost", "submit", "a.token", *place)
+    desk.done("advanced", "frost", "submit", "a.token", *place)
     assert run(desk)[0] == 0
-    code, told = desk.run("frost", "submit", "a.token", *place)
+    code, told = desk.run("advanced", "frost", "submit", "a.token", *place)
     assert (code, told["counts"], told["why_not"]) == (1, False, "APPROVAL_TIMEOUT")
 
 
@@ -182,7 +184,7 @@ def test_a_group_denies(desk: Desk) -> None:
     for name in ("ana", "cho"):
         desk.done(*share_words(name, signers), "--yes")
     desk.done(*aggregate_words("ana", "cho", signers=signers))
-    told = desk.done("frost", "submit", "a.token", *place, "--why", "not today")
+    told = desk.done("advanced", "frost", "submit", "a.token", *place, "--reason", "not today")
     assert told["verdict"] == "deny"
     code, said = run(desk)
     assert (code, said["steps"][0]["reasons"]) == (1, ["APPROVAL_DENIED"])
@@ -263,7 +265,17 @@ def test_a_certificate_of_somebody_else_or_of_other_members_is_refused(desk: Des
     Path("other.json").write_bytes(encode({**group, "id": "board-7", "members": ["x", "y", "z"]}))
     scope = ("--every-robot", "--every-region", "--role", "supervisor")
     init_folder(Path("elsewhere"), (), now=datetime.now(UTC))  # here the key is board-1's alone
-    desk.done("frost", "certify", "--trust", "elsewhere", "--group", "other.json", *scope, "--yes")
+    desk.done(
+        "advanced",
+        "frost",
+        "certify",
+        "--trust",
+        "elsewhere",
+        "--group",
+        "other.json",
+        *scope,
+        "--yes",
+    )
     other = "../../elsewhere/keys/board-7"
     said = desk.refused(*aggregate_words("ana", "cho", signers=signers, cert=other), code=4)
     assert "says the same of the group" in said
@@ -285,8 +297,8 @@ def test_secrets_are_written_for_their_owner_alone_and_never_over_anything(desk:
     for name in PEOPLE:
         assert stat.S_IMODE(Path(f"dealt/{name}.share.json").stat().st_mode) == 0o600
     group = ("--group", "board-1", "--threshold", "2", *members(), "--out", "dealt")
-    assert "expected no file" in desk.refused("frost", "deal", *group, code=5)
-    said = desk.done("frost", "inspect", "dealt/ana.share.json")
+    assert "expected no file" in desk.refused("advanced", "frost", "deal", *group, code=5)
+    said = desk.done("advanced", "frost", "show", "dealt/ana.share.json")
     secret = json.loads(Path("dealt/ana.share.json").read_bytes())["secret"]
     assert said["member"] == "ana"
     assert secret not in json.dumps(said)
@@ -297,26 +309,44 @@ def test_a_dealer_who_cheats_is_named_by_who_looks(desk: Desk) -> None:
     path = Path("dealt/ben.share.json")
     share = read(path.read_bytes(), Share, where="")
     path.write_bytes(encode(spoiled(share, secret=one_more(share.secret))))
-    said = desk.refused("frost", "inspect", str(path), code=4)
+    said = desk.refused("advanced", "frost", "show", str(path), code=4)
     assert "the dealer gave `ben` a share that does not fit" in said
-    words = ("frost", "commit", "--share", str(path), "--nonces", "n", "--out", "c.json")
+    words = (
+        "advanced",
+        "frost",
+        "commit",
+        "--share",
+        str(path),
+        "--nonces",
+        "n",
+        "--out",
+        "c.json",
+    )
     assert "the dealer gave `ben`" in desk.refused(*words, code=4)
 
 
 def offers(desk: Desk) -> list[str]:
     group = ("--group", "board-1", "--threshold", "2", *members())
-    desk.done("frost", "dkg", "plan", *group, "--out", "dkg.json")
+    desk.done("advanced", "frost", "dkg", "plan", *group, "--out", "dkg.json")
     for name in PEOPLE:
         own = ("--as", name, "--secret", f"{name}/secret.json", "--out", f"{name}.offer.json")
-        desk.done("frost", "dkg", "offer", "dkg.json", *own)
+        desk.done("advanced", "frost", "dkg", "offer", "dkg.json", *own)
     return [word for name in PEOPLE for word in ("--offer", f"{name}.offer.json")]
 
 
 def exchanged(desk: Desk, seen: list[str]) -> None:
     told = {
-        desk.done("frost", "dkg", "exchange", "--secret", f"{n}/secret.json", *seen, "--out", "s")[
-            "offers"
-        ]
+        desk.done(
+            "advanced",
+            "frost",
+            "dkg",
+            "exchange",
+            "--secret",
+            f"{n}/secret.json",
+            *seen,
+            "--out",
+            "s",
+        )["offers"]
         for n in PEOPLE
     }
     assert len(told) == 1
@@ -327,10 +357,10 @@ def finish_words(name: str, seen: list[str]) -> list[str]:
         word
         for other in PEOPLE
         if other != name
-        for word in ("--from", f"s/{other}-to-{name}.json")
+        for word in ("--contribution", f"s/{other}-to-{name}.json")
     ]
     own = ["--secret", f"{name}/secret.json", *seen, *given, "--out", name]
-    return ["frost", "dkg", "finish", *own]
+    return ["advanced", "frost", "dkg", "finish", *own]
 
 
 def test_a_key_without_a_dealer_and_no_secret_is_left(desk: Desk) -> None:
@@ -340,7 +370,7 @@ def test_a_key_without_a_dealer_and_no_secret_is_left(desk: Desk) -> None:
     assert len(digests) == 1
     for name in PEOPLE:
         assert not Path(name, "secret.json").exists()
-        assert desk.done("frost", "inspect", f"{name}/{name}.share.json")["member"] == name
+        assert desk.done("advanced", "frost", "show", f"{name}/{name}.share.json")["member"] == name
         assert Path(name, "group.json").read_bytes() == Path("ana/group.json").read_bytes()
 
 
@@ -366,7 +396,7 @@ def test_a_cheater_in_key_generation_is_named_by_the_command(desk: Desk) -> None
 def test_who_is_no_member_makes_no_offer(desk: Desk) -> None:
     offers(desk)
     own = ("--as", "eve", "--secret", "e.json", "--out", "e.offer.json")
-    said = desk.refused("frost", "dkg", "offer", "dkg.json", *own, code=4)
+    said = desk.refused("advanced", "frost", "dkg", "offer", "dkg.json", *own, code=4)
     assert "no member `eve`" in said
 
 
@@ -379,7 +409,7 @@ def test_a_group_that_cannot_be_is_refused(desk: Desk, words: list[str]) -> None
         ("Board", "2", PEOPLE, "an identifier, got `Board`"),
     ):
         told = ("--group", group, "--threshold", threshold, *members(names), "--out", "x")
-        assert said in desk.refused("frost", *words, *told, code=4)
+        assert said in desk.refused("advanced", "frost", *words, *told, code=4)
     assert not Path("x").exists()
 
 
@@ -394,7 +424,7 @@ def test_a_group_takes_no_name_and_no_key_that_somebody_has(desk: Desk) -> None:
     words = ("--role", "supervisor", *every, "--yes")
     group = json.loads(Path("dealt/group.json").read_bytes())
     Path("taken.json").write_bytes(encode({**group, "id": "operator-1"}))
-    certify = ("frost", "certify", "--trust", "auth", "--group")
+    certify = ("advanced", "frost", "certify", "--trust", "auth", "--group")
     assert "here in another role" in desk.refused(*certify, "taken.json", *words, code=1)
     desk.done(*certify, "dealt/group.json", *words)
     Path("again.json").write_bytes(encode({**group, "id": "board-2"}))
@@ -412,7 +442,16 @@ def test_a_group_is_certified_once_in_a_role_that_answers(
 ) -> None:
     dealt(desk)
     desk.done("keys", "init", "trust")
-    group = ("frost", "certify", "--trust", "trust", "--group", "dealt/group.json", "--yes")
+    group = (
+        "advanced",
+        "frost",
+        "certify",
+        "--trust",
+        "trust",
+        "--group",
+        "dealt/group.json",
+        "--yes",
+    )
     every = ("--every-robot", "--every-region")
     assert "expected a role" in desk.refused(*group, "--role", "operator", *every, code=4)
     assert "USAGE" in desk.refused(*group, "--role", "supervisor", code=2)
@@ -434,7 +473,16 @@ def test_under_two_roots_no_group_is_certified(desk: Desk) -> None:
     both = (Algorithm.ED25519, Algorithm.ML_DSA_65)
     init_folder(folder, (), now=scenarios._BEGIN, algorithms=both)
     every = ("--role", "supervisor", "--every-robot", "--every-region")
-    words = ("frost", "certify", "--trust", "hybrid", "--group", "dealt/group.json", *every)
+    words = (
+        "advanced",
+        "frost",
+        "certify",
+        "--trust",
+        "hybrid",
+        "--group",
+        "dealt/group.json",
+        *every,
+    )
     assert "Ed25519 alone" in desk.refused(*words, code=5)
 
 
@@ -444,13 +492,13 @@ def test_a_sealed_share_signs_with_its_passphrase_alone(desk: Desk) -> None:
     Path("words").chmod(0o600)
     path = "dealt/ana.share.json"
     secret = json.loads(Path(path).read_bytes())["secret"]
-    desk.done("frost", "protect", path, "--passphrase-file", "words")
+    desk.done("advanced", "frost", "protect", path, "--passphrase-file", "words")
     assert secret.encode() not in Path(path).read_bytes()
     assert stat.S_IMODE(Path(path).stat().st_mode) == 0o600
     assert "sealed already" in desk.refused(
-        "frost", "protect", path, "--passphrase-file", "words", code=1
+        "advanced", "frost", "protect", path, "--passphrase-file", "words", code=1
     )
-    assert "the share is sealed" in desk.refused(*share_words("ana", signers), "--yes", code=5)
+    assert "the share is encrypted" in desk.refused(*share_words("ana", signers), "--yes", code=5)
     desk.done(*share_words("ana", signers), "--yes", "--passphrase-file", "words")
 
 
@@ -460,15 +508,15 @@ def test_every_file_can_be_looked_at_and_no_secret_is_shown(desk: Desk) -> None:
     offers(desk)
     nonces = next(Path("cho.nonces").iterdir())
     for path in (nonces, Path("ben/secret.json")):
-        said = desk.done("frost", "inspect", str(path))
+        said = desk.done("advanced", "frost", "show", str(path))
         assert set(said) == {"kind"}
     public = ["dealt/group.json", "ballot.json", "ana.part.json", "ana.commitment.json"]
     for name in (*public, "dkg.json", "ana.offer.json"):
-        said = desk.done("frost", "inspect", name)
+        said = desk.done("advanced", "frost", "show", name)
         assert said["digest"]
         assert said["kind"].startswith("frost/")
     Path("noise").write_bytes(b"{}")
-    assert "MALFORMED" in desk.refused("frost", "inspect", "noise", code=4)
+    assert "MALFORMED" in desk.refused("advanced", "frost", "show", "noise", code=4)
 
 
 def test_without_the_extra_the_commands_say_what_to_install(
@@ -476,11 +524,13 @@ def test_without_the_extra_the_commands_say_what_to_install(
 ) -> None:
     none: Callable[[str], None] = lambda _: None  # noqa: E731
     monkeypatch.setattr("authguard_r.cli.frost.find_spec", none)
-    assert "authguard-r[frost]" in desk.refused("frost", "inspect", "x", code=5)
+    assert "authguard-r[frost]" in desk.refused("advanced", "frost", "show", "x", code=5)
 
 
 def test_a_store_needs_trust_and_site(desk: Desk) -> None:
-    said = desk.refused("frost", "ballot", "1", "--store", "robot.db", "--out", "b.json", code=2)
+    said = desk.refused(
+        "advanced", "frost", "ballot", "1", "--store", "robot.db", "--out", "b.json", code=2
+    )
     assert "a store needs --trust and --site" in said
 
 
@@ -489,12 +539,12 @@ def test_a_sealed_share_is_looked_at_with_its_passphrase(desk: Desk) -> None:
     Path("said").write_text("words that nobody else knows\n")
     Path("said").chmod(0o600)
     share, words = "dealt/ana.share.json", ("--passphrase-file", "said")
-    desk.done("frost", "protect", share, *words)
-    said = desk.refused("frost", "inspect", share, code=5)
-    assert ("sealed" in said, "--passphrase-file" in said) == (True, True)
-    assert desk.done("frost", "inspect", share, *words)["member"] == "ana"
+    desk.done("advanced", "frost", "protect", share, *words)
+    said = desk.refused("advanced", "frost", "show", share, code=5)
+    assert ("encrypted" in said, "--passphrase-file" in said) == (True, True)
+    assert desk.done("advanced", "frost", "show", share, *words)["member"] == "ana"
     Path("said").write_text("others than these\n")
-    assert "KEY_INVALID" in desk.refused("frost", "inspect", share, *words, code=4)
+    assert "KEY_INVALID" in desk.refused("advanced", "frost", "show", share, *words, code=4)
 
 
 def test_a_store_that_is_not_there_is_said_and_not_made(desk: Desk) -> None:
@@ -503,6 +553,6 @@ def test_a_store_that_is_not_there_is_said_and_not_made(desk: Desk) -> None:
     where = ("--store", "mistyped.db", "--trust", "trust", *SITE)
     for words in (("ballot", "1", "--out", "b.json"), ("submit", "approval.token")):
         assert "STORE_UNAVAILABLE: no gate answers and no store is there" in desk.refused(
-            "frost", *words, *where, code=5
+            "advanced", "frost", *words, *where, code=5
         )
         assert not Path("mistyped.db").exists()

@@ -29,7 +29,7 @@ import typer
 from authguard_r.audit.record import LogRow
 from authguard_r.cli import call
 from authguard_r.cli.gateway import RUNS, only_run
-from authguard_r.cli.operate import status_lines
+from authguard_r.cli.status_lines import status_lines
 from authguard_r.cli.watch import event_line, picture
 from authguard_r.client import stopping
 from authguard_r.core.encoding import Tag, b64
@@ -61,6 +61,24 @@ STATUS: dict[str, Any] = {
         "expiry": "2027-01-01T00:00:00Z",
         "grants": [{"id": "pick", "type": "pick", "starts": 1, "of": 2}],
         "open": ["T" * 43],
+    },
+    "place": ["pharmacy"],
+    "holding": "package-7",
+    "state_age_ms": 80,
+    "last_refusal": {
+        "record": 27,
+        "ago_ms": 12_000,
+        "action": {"type": "navigate", "object": None, "destination": "isolation-room"},
+        "reasons": ["DESTINATION_OUT_OF_SCOPE"],
+        "findings": [
+            {
+                "field": "destination",
+                "reason": "DESTINATION_OUT_OF_SCOPE",
+                "expected": "pharmacy",
+                "got": "isolation-room",
+                "step": 7,
+            }
+        ],
     },
     "leases": [{"ticket": "T" * 43, "action": "navigate", "for_ms": 5_000, "left_ms": 20_000}],
     "clients": [{"role": "planner", "client": "llm", "uid": 1000, "idle_ms": 90_000}],
@@ -100,7 +118,7 @@ class Shell:
 @pytest.fixture
 def shell(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any) -> Shell:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("AUTHGUARD_RUN", raising=False)
+    monkeypatch.delenv("AUTHGUARD_GATE", raising=False)
     shutil.copytree(scenarios.HOSPITAL, tmp_path / "h")
     shutil.copytree(scenarios.trust_folder(), tmp_path / "trust")
     for path in (tmp_path / "trust" / "keys").glob(f"*{scenarios.OTHER}*"):
@@ -165,9 +183,16 @@ def test_the_gate_is_found_by_its_folder_its_socket_or_the_environment(
             with socket.socket(socket.AF_UNIX) as lane:
                 lane.bind(str(named[way]))
         if way == "environment":
-            monkeypatch.setenv("AUTHGUARD_RUN", str(path.parent))
-        on = [] if way == "environment" else ["--gate", named[way]]
+            monkeypatch.setenv("AUTHGUARD_GATE", str(path.parent))
+        on = ["--gate", named[way]] if way in named else []
         assert shell.json("status", *on) == (0, STATUS)
+
+
+def test_the_old_variable_works_for_one_version(shell: Shell, monkeypatch: Any) -> None:
+    with listening(serving({Kind.STATUS: STATUS})) as path:
+        monkeypatch.setenv("AUTHGUARD_RUN", str(path.parent))
+        code, text = shell("status")
+        assert (code, "AUTHGUARD_RUN is now AUTHGUARD_GATE" in text) == (0, True)
 
 
 def test_status_tells_a_person_how_things_stand(shell: Shell) -> None:
@@ -176,14 +201,17 @@ def test_status_tells_a_person_how_things_stand(shell: Shell) -> None:
     assert code == 0
     assert text.splitlines() == [
         f"{scenarios.RID}: enforce, up 1 h 2 min",
+        "ALERT: planner silent (for_ms 90000)",
+        "ALERT: no progress",
+        "last refusal, 12.0 s ago: navigate isolation-room (authguard explain 27)",
+        "  DESTINATION_OUT_OF_SCOPE at destination: expected pharmacy, got isolation-room",
+        "robot: at pharmacy, holds package-7 (measured 0.1 s ago)",
+        "moving: navigate, for 5.0 s, at most 20.0 s more (lease TTTTTTTTTTTT...)",
         "mission carry-7 version 2: active, by operator-1, until 2027-01-01T00:00:00Z",
         "  pick (pick): 1 of 2 starts",
         f"  open release {'T' * 43}",
-        "  moving: navigate, for 5.0 s, at most 20.0 s more (lease TTTTTTTTTTTT...)",
-        "heard: planner 1 min 30 s ago, estimator 0.1 s ago, controller never",
+        "last message: planner 1 min 30 s ago, estimator 0.1 s ago, controller never",
         "client: planner llm (user 1000), idle 1 min 30 s",
-        "ALERT: planner silent (for_ms 90000)",
-        "ALERT: no progress",
         "refused: open GUARD_FALSE, folded 12",
         "disk: 5 MiB free, 1 MiB kept back",
         "stops: 3; log: 120 records",
@@ -198,8 +226,8 @@ def test_a_status_that_says_little_is_shown_as_far_as_it_goes() -> None:
     assert "no active mission" in status_lines({})
     assert "disk: free 5" in status_lines({"disk": {"free": 5}})
     assert "DAMAGED: it" in status_lines({"damaged": ["it"]})
-    assert "stop lane: answers" in status_lines({"lane": {"alive": True}})
-    assert "STOP LANE: DOES NOT ANSWER" in status_lines({"lane": {"alive": False}})
+    assert "stop process: answers" in status_lines({"lane": {"alive": True}})
+    assert "STOP PROCESS: DOES NOT ANSWER" in status_lines({"lane": {"alive": False}})
     assert "up ?" in status_lines({})[0]
 
 
@@ -287,7 +315,7 @@ def test_the_deployed_units_put_a_gate_where_commands_look() -> None:
     for name in ("authguard-gate@.service", "authguard-stop-lane@.service"):
         text = (units / name).read_text()
         assert f"RuntimeDirectory={RUNS.name}/%i\n" in text
-        assert f"--run {RUNS}/%i\n" in text
+        assert f"--gate {RUNS}/%i\n" in text
 
 
 @pytest.mark.parametrize("command", ["status", "watch", "stop", "explain", "metrics"])
@@ -411,7 +439,7 @@ def test_stop_goes_through_the_lane_and_says_whether_the_robot_stands(
     monkeypatch.setattr(stopping, "GONE_S", 0.2)
     seen: list[Any] = []
     with listening(serving({Kind.STOP: said}, seen), "stop.sock") as path:
-        got, text = shell("stop", "--gate", path.parent, "--why", "a child")
+        got, text = shell("stop", "--gate", path.parent, "--reason", "a child")
         assert (got, words in text) == (code, True)
         told = {**said, "role": "operator"}
         assert shell.json("stop", "--gate", path.parent) == (code, told)
@@ -606,7 +634,7 @@ def test_wrong_usage_is_one_line_and_names_the_option(shell: Shell) -> None:
     assert shell("init", "--from", "mcp", "--out", "y")[1].endswith("(at LIST)\n")
 
 
-@pytest.mark.parametrize("command", ["gate", "stop-lane", "robot", "estimator"])
+@pytest.mark.parametrize("command", ["gate", "advanced stop-process", "robot", "estimator"])
 def test_a_run_folder_that_is_a_file_is_said_to_be_one(shell: Shell, command: str) -> None:
     Path("file").write_text("")
     config = gate_config(shell)
@@ -617,12 +645,12 @@ def test_a_run_folder_that_is_a_file_is_said_to_be_one(shell: Shell, command: st
             *("--demo", *SITE, "--binding", "h/binding.yaml"),
             *("--config", config, "--store", "r.db"),
         ),
-        "stop-lane": ("--config", config, *signer),
+        "advanced stop-process": ("--config", config, *signer),
         "robot": tuple(SITE),
         "estimator": signer,
     }[command]
-    on = ("--robot", scenarios.RID, "--trust", "trust", "--run", "file")
-    code, reason, message = shell.refused(command, *on, *words)
+    on = ("--robot", scenarios.RID, "--trust", "trust", "--gate", "file")
+    code, reason, message = shell.refused(*command.split(), *on, *words)
     assert (code, reason) == (5, "STORE_UNAVAILABLE")
     assert "expected a folder" in message
 
@@ -639,10 +667,11 @@ def gate_config(shell: Shell) -> str:
 def test_explain_asks_the_gate(shell: Shell) -> None:
     seen: list[Any] = []
     told = {"seq": 7, "text": ["record 7: because", "  of\x1bthat"]}
-    with listening(serving({Kind.EXPLAIN: told}, seen)) as path:
+    with listening(serving({Kind.EXPLAIN: told, Kind.STATUS: {}}, seen)) as path:
         assert shell("explain", 7, "--gate", path) == (0, "record 7: because\n  of\\x1bthat\n")
         assert shell.json("explain", "--gate", path) == (0, told)
-    assert [json.loads(item.body)["seq"] for _, item in seen] == [7, None]
+    asked = [json.loads(item.body)["seq"] for _, item in seen if item.kind is Kind.EXPLAIN]
+    assert asked == [7, None]
 
 
 def test_explain_reads_a_store_that_no_gate_holds(shell: Shell, token: str) -> None:

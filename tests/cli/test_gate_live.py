@@ -98,7 +98,7 @@ def test_a_stop_in_mid_motion_then_a_signed_resume(session: Desk) -> None:
     moving = threading.Thread(target=lambda: told.append(planner.propose(COLLECT, key="one")))
     moving.start()
     until(lambda: session.status()["leases"], "the motion")
-    code, stopped = session.json("stop", *session.at, "--why", "a child")
+    code, stopped = session.json("stop", *session.at, "--reason", "a child")
     assert (code, stopped["stopped"], stopped["controller"]) == (0, True, True)
     moving.join(60)
     assert [step["execution"]["outcome"] for step in told[0]["steps"]] == ["aborted"]
@@ -223,7 +223,7 @@ def has_come(process: subprocess.Popen[bytes]) -> bool:
 
 def test_watch_ends_with_the_gate(quick: Desk) -> None:
     told: list[tuple[int, str]] = []
-    words = [str(AUTHGUARD), "watch", *(str(word) for word in quick.at)]
+    words = [str(AUTHGUARD), "watch", "--verbose", *(str(word) for word in quick.at)]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as process:
         until(lambda: any(c["client"].endswith(".cli") for c in watchers(quick)), "the watcher")
         until(lambda: quick.status() and has_come(process), "an event: it is here, and watches")

@@ -39,6 +39,7 @@ from authguard_r.keys.envelope import is_sealed, unseal
 from authguard_r.keys.pkcs11 import open_key
 from authguard_r.keys.signer import FileSigner, certified
 from authguard_r.keys.trust import read_trust
+from authguard_r.operations.defaults import NAMES
 from authguard_r.wire.messages import ClientRole
 from fixtures import scenarios
 from fixtures.gate_process import AUTHGUARD, RunningGate
@@ -50,7 +51,7 @@ SITE = ["--site", "h/site.yaml"]
 PASS = ["--passphrase-file", "said"]
 COLLECT = (scenarios.HOSPITAL / "replies" / "01-collect.json").read_bytes()
 #: These hold a robot's own key, which is a plain file or nothing, or only look at one.
-SERVICES = {"gate", "stop-lane", "doctor"}
+SERVICES = {"gate", "advanced stop-process", "doctor"}
 
 
 class Shell:
@@ -291,7 +292,8 @@ def test_every_command_that_takes_a_persons_key_takes_a_passphrase_file() -> Non
 def test_no_command_takes_a_passphrase_as_an_argument_or_from_the_environment() -> None:
     for name, options in commands(program(), ""):
         assert not {"--passphrase", "--pin", "--password"} & set(options), name
-    assert all(getattr(option, "envvar", None) is None for option in every(program()))
+    named = {getattr(option, "envvar", None) for option in every(program())} - {None}
+    assert named == {f"AUTHGUARD_{name.upper()}" for name in NAMES}  # paths, never a passphrase
 
 
 def commands(command: Any, name: str) -> Iterator[tuple[str, list[str]]]:
@@ -388,7 +390,7 @@ def test_a_key_in_hardware_gets_its_certificate_by_request(shell: Shell, tmp_pat
         assert shell("keys", "issue", "auth", told["request"], "--yes")[0] == 0
         root = shell.json("keys", "show", "auth")[1]
         assert root["demo"] is False
-        answer = ["op/operator-1.answer.json", "--dir", "op/trust", "--cert", "op/o.cert.pem"]
+        answer = ["op/operator-1.answer.json", "--trust", "op/trust", "--cert", "op/o.cert.pem"]
         anchor = read_trust(Path("auth"))
         named = ["--root", fingerprint(anchor.roots), "--request", told["request"]]
         assert shell("keys", "install", *answer, *key, *named)[0] == 0

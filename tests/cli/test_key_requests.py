@@ -60,7 +60,7 @@ class Machines:
         assert self("keys", "issue", "auth", request, "--days", days, "--yes")[0] == 0
         (key,) = Path(name).glob("*.key.pem")
         answer = str(request).replace(".request.", ".answer.")
-        where = ("--key", key, "--dir", f"{name}/trust", "--root", self.root)
+        where = ("--key", key, "--trust", f"{name}/trust", "--root", self.root)
         assert self("keys", "install", answer, *where)[0] == 0
         return key.with_name(key.name.removesuffix(".key.pem"))
 
@@ -209,20 +209,20 @@ def test_an_answer_fits_its_key_its_request_and_the_root(machines: Machines) -> 
     Path("op/operator-1.cert.pem").unlink()
     root = ("--root", machines.root)
     wrong = ("keys", "install", "two/operator-2.answer.json", "--key", "op/operator-1.key.pem")
-    there = ("--dir", "op/fresh", *root)
+    there = ("--trust", "op/fresh", *root)
     assert machines.refused(4, *wrong, *there) == "CERTIFICATE_INVALID"
     Path("op/operator-1.request.json").unlink()  # then the key alone says it
     assert machines.refused(4, *wrong, *there) == "KEY_INVALID"
     right = ("keys", "install", "op/operator-1.answer.json", "--key", "op/operator-1.key.pem")
-    foreign = ("--dir", "op/fresh", "--root", "0" * 64)
+    foreign = ("--trust", "op/fresh", "--root", "0" * 64)
     assert machines.refused(4, *right, *foreign) == "CERTIFICATE_INVALID"
-    assert machines(*right, "--dir", "op/fresh", stdin=b"n\n")[0] != 0
+    assert machines(*right, "--trust", "op/fresh", stdin=b"n\n")[0] != 0
     assert sorted(path.name for path in Path("op").iterdir()) == [
         "operator-1.answer.json",
         "operator-1.key.pem",
         "trust",
     ]
-    code, told = machines(*right, "--dir", "op/fresh", stdin=b"y\n")
+    code, told = machines(*right, "--trust", "op/fresh", stdin=b"y\n")
     assert (code, machines.root in told) == (0, True)
 
 
@@ -233,8 +233,8 @@ def test_a_trust_folder_keeps_its_root(machines: Machines) -> None:
     assert machines("keys", "init", "auth", "--no-demo")[0] == 0
     assert machines("keys", "issue", "auth", "op/operator-1.request.json", "--yes")[0] == 0
     words = ("keys", "install", "op/operator-1.answer.json", "--key", "op/operator-1.key.pem")
-    assert machines.refused(4, *words, "--dir", "op/trust") == "CERTIFICATE_INVALID"
-    named = ("--dir", "op/trust", "--root", machines.root)
+    assert machines.refused(4, *words, "--trust", "op/trust") == "CERTIFICATE_INVALID"
+    named = ("--trust", "op/trust", "--root", machines.root)
     assert machines.refused(4, *words, *named) == "CERTIFICATE_INVALID"
     assert Path("op/trust/root.pem").read_bytes() == before
 
@@ -314,7 +314,7 @@ def test_a_rotated_key_counts_beside_the_old_until_that_is_revoked(machines: Mac
     request = made["request"]
     code, told = machines.json("keys", "issue", "auth", request, "--yes")
     assert (code, told["rotates"]) == (0, True)
-    words = ("--key", made["key"], "--dir", "op/trust")
+    words = ("--key", made["key"], "--trust", "op/trust")
     assert machines("keys", "install", told["answer"], *words)[0] == 0
     new = Path("op/operator-1.2")
     first, second = holds(old, "op/trust"), holds(new, "op/trust")
@@ -324,7 +324,7 @@ def test_a_rotated_key_counts_beside_the_old_until_that_is_revoked(machines: Mac
     code, told = machines.json("keys", "revoke", "auth", "--serial", first.serial)
     assert (code, told["lists"][0]["serials"]) == (0, [str(first.serial)])
     taken = machines(
-        "revocations", "install", "auth/revocations/people.json", "--trust", "op/trust"
+        "advanced", "revocations", "install", "auth/revocations/people.json", "--trust", "op/trust"
     )
     assert taken[0] == 0
     assert holds(new, "op/trust").principal == "operator-1"
@@ -363,7 +363,14 @@ def test_an_authority_is_revoked_by_its_root(machines: Machines) -> None:
     stem = machines.member("op", *OPERATOR)
     code, told = machines.json("keys", "revoke", "auth", "people")
     assert (code, [item["authority"] for item in told["lists"]]) == (0, ["root"])
-    words = ("revocations", "install", "auth/revocations/root.json", "--trust", "op/trust")
+    words = (
+        "advanced",
+        "revocations",
+        "install",
+        "auth/revocations/root.json",
+        "--trust",
+        "op/trust",
+    )
     assert machines(*words)[0] == 0
     with pytest.raises(AuthenticityError, match="revoked"):
         holds(stem, "op/trust")
@@ -382,7 +389,7 @@ def test_a_folder_takes_no_older_list_and_no_strangers(machines: Machines) -> No
     machines.member("op", *OPERATOR)
     shutil.copytree("auth/revocations", "older")
     assert machines("keys", "revoke", "auth", "operator-1")[0] == 0
-    install = ("revocations", "install")
+    install = ("advanced", "revocations", "install")
     assert machines(*install, "auth/revocations/people.json", "--trust", "op/trust")[0] == 0
     older = "older/people.json"
     assert machines.refused(4, *install, older, "--trust", "op/trust") == "REVOCATION_STALE"
@@ -410,7 +417,7 @@ def test_what_is_no_such_file_is_refused(machines: Machines, command: str, data:
     Path("junk.json").write_bytes(data)
     words: tuple[object, ...] = ("auth", "junk.json", "--yes")
     if command == "install":
-        words = ("junk.json", "--key", "op/operator-1.key.pem", "--dir", "op/trust")
+        words = ("junk.json", "--key", "op/operator-1.key.pem", "--trust", "op/trust")
     code, told = machines.json("keys", command, *words)
     assert (code, "error" in told) == (4, True)
 

@@ -136,7 +136,7 @@ def test_the_refused_include_what_the_safety_gate_alone_refused(unsafe: Log) -> 
     _, told = unsafe.json("show", "--kind", "decision")
     refused = told["records"][0]["seq"]
     assert unsafe.shown("--refused") == [refused]
-    assert unsafe.shown("--reason", "HUMAN_PROXIMITY") == [refused]
+    assert unsafe.shown("--code", "HUMAN_PROXIMITY") == [refused]
     code, explained = unsafe.json("explain", refused)
     assert (code, explained["verdict"]) == (0, "unsafe")
 
@@ -167,13 +167,13 @@ def test_the_shape_of_a_shown_log_is_what_it_was(log: Log) -> None:
 def test_each_filter_leaves_what_it_says_and_all_of_them_together(log: Log) -> None:
     assert log.shown("--kind", "management") == ORDERED
     assert log.shown("--refused") == [HIJACKED, LAST]
-    assert log.shown("--reason", "REPEAT_EXHAUSTED") == [LAST]
+    assert log.shown("--code", "REPEAT_EXHAUSTED") == [LAST]
     assert log.shown("--mission", "deliver-p1") == list(range(1, LAST + 1))
     assert log.shown("--mission", "another") == []
     assert log.shown("--client", "operator-1") == ORDERED
     assert log.shown("--client", "planner", "--refused") == [HIJACKED, LAST]
-    assert log.shown("--from", WENT, "--to", ARRIVED) == [WENT, ARRIVED]
-    assert log.shown("--from", LAST + 1) == []
+    assert log.shown("--first", WENT, "--last", ARRIVED) == [WENT, ARRIVED]
+    assert log.shown("--first", LAST + 1) == []
     assert log.shown("--refused", "--kind", "outcome") == []
     assert log.shown("--would-refuse") == []  # nothing of it was in shadow mode
 
@@ -191,7 +191,7 @@ def test_times_are_bounds_that_belong_to_what_they_bound(log: Log) -> None:
 
 
 def test_a_code_or_a_time_that_is_none_is_wrong_usage(log: Log) -> None:
-    for words in (("--reason", "NO_SUCH_CODE"), ("--since", "today"), ("--from", "-1")):
+    for words in (("--code", "NO_SUCH_CODE"), ("--since", "today"), ("--first", "-1")):
         assert log("show", *words)[0] == 2
 
 
@@ -206,7 +206,7 @@ def test_a_client_is_named_with_or_without_the_number_of_its_user(
 def test_answers_are_shown_with_what_they_answer(asked: Log) -> None:
     _, text = asked("show", "--client", "supervisor-1")
     assert re.search(r"management answer .* supervisor-1 +approve request 1$", text.strip())
-    _, text = asked("show", "--reason", "APPROVAL_REQUIRED")
+    _, text = asked("show", "--code", "APPROVAL_REQUIRED")
     assert "request_approval" in text
 
 
@@ -241,7 +241,7 @@ def test_an_error_in_the_middle_of_a_list_is_still_one_object(
     code, text = log("show")
     assert code == 4
     assert text.splitlines()[0].endswith(" x")
-    assert log.json("show", "--from", 1)[1]["error"]["code"]
+    assert log.json("show", "--first", 1)[1]["error"]["code"]
 
 
 def test_progress_is_for_people_at_a_terminal_only(

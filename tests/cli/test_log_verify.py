@@ -116,7 +116,7 @@ def test_a_checkpoint_in_the_file_says_nothing_until_a_key_is_named(session: Des
         code, text = session("audit", "verify", name)
         assert "not verified: no key was named" in text
         assert "nothing outside says" in text
-        code, told = session.json("audit", "verify", name, "--key", session.key)
+        code, told = session.json("audit", "verify", name, "--log-key", session.key)
         assert (code, told["anchored"], told["anchored_size"]) == (0, "checkpoint", SIZE)
         assert (told["told_by"], told["fault"], told["where"]) == (None, "", "")
         code, text = session("audit", "verify", name, "--trust", "trust")
@@ -127,19 +127,21 @@ def test_a_checkpoint_in_the_file_says_nothing_until_a_key_is_named(session: Des
 def test_a_checkpoint_that_was_kept_elsewhere_shows_that_the_end_is_gone(session: Desk) -> None:
     kept = session.keep(session.note)
     cut = session.export(ROWS[:6], session.signed(ROWS[:6]))
-    assert session.json("audit", "verify", cut, "--key", session.key)[0] == 0
-    code, told = session.json("audit", "verify", cut, "--key", session.key, "--checkpoint", kept)
+    assert session.json("audit", "verify", cut, "--log-key", session.key)[0] == 0
+    code, told = session.json(
+        "audit", "verify", cut, "--log-key", session.key, "--checkpoint", kept
+    )
     assert (code, told["whole"], told["where"]) == (1, False, "record 6")
     whole = session(
-        "audit", "verify", session.store(ROWS, None), "--key", session.key, "--checkpoint", kept
+        "audit", "verify", session.store(ROWS, None), "--log-key", session.key, "--checkpoint", kept
     )
     assert (whole[0], "the file's own" in whole[1]) == (0, False)
     early = session.keep(session.signed(ROWS[:3]), "early.note")
-    given = ("--key", session.key, "--checkpoint", early, "--checkpoint", kept)
+    given = ("--log-key", session.key, "--checkpoint", early, "--checkpoint", kept)
     code, told = session.json("audit", "verify", session.export(ROWS, None), *given)
     assert (code, told["anchors"]) == (0, [["checkpoint", 3], ["checkpoint", SIZE]])
     code, told = session.json("audit", "verify", session.export(ROWS, None), "--checkpoint", kept)
-    assert (code, told["error"]["where"]) == (5, "--key")
+    assert (code, told["error"]["where"]) == (5, "--log-key")
 
 
 def test_a_log_that_is_not_whole_says_what_it_was_held_to(session: Desk) -> None:
@@ -149,7 +151,7 @@ def test_a_log_that_is_not_whole_says_what_it_was_held_to(session: Desk) -> None
     kept = session.keep(Note(session.note.text, (*session.note.signatures, cosigned)))
     said = Terminal(log=ROBOT, size=5, head=Digest(b64(ROWS[4].link)), time_ms=AT * 1_000)
     Path("terminal").write_bytes(sign_object(said, Tag.CHECKPOINT, session.signer))
-    key, at = ("--key", session.key), ("--checkpoint", kept)
+    key, at = ("--log-key", session.key), ("--checkpoint", kept)
     claimed = f"a checkpoint in its file, signed by no key that was named, of {SIZE} records"
     plain, quorum = f"a checkpoint of {SIZE} records", ("--witness", witness.text())
     cosigned_too = f"a checkpoint, cosigned by enough witnesses, of {SIZE} records"
@@ -187,17 +189,19 @@ def test_a_log_that_is_not_whole_says_what_it_was_held_to(session: Desk) -> None
 def test_a_key_that_signed_nothing_here_is_not_authentic(session: Desk) -> None:
     own = generate(Algorithm.ED25519)
     other = log_key(checkpoint_of(ROWS).origin, own.public_key()).text()
-    code, told = session.json("audit", "verify", session.export(ROWS, session.note), "--key", other)
+    code, told = session.json(
+        "audit", "verify", session.export(ROWS, session.note), "--log-key", other
+    )
     assert (code, told["error"]["code"]) == (4, "SIGNATURE_MISSING")
-    for given in (("--key", session.key), ("--trust", "trust")):
+    for given in (("--log-key", session.key), ("--trust", "trust")):
         code, told = session.json("audit", "verify", session.export(ROWS, None), *given)
         assert (code, told["error"]["code"]) == (4, "SIGNATURE_MISSING")
     (line,) = session.note.signatures
     turned = NoteSignature(line.name, line.key_id, bytes(64))
     forged = session.export(ROWS, Note(session.note.text, (turned,)))
-    code, told = session.json("audit", "verify", forged, "--key", session.key)
+    code, told = session.json("audit", "verify", forged, "--log-key", session.key)
     assert (code, told["error"]["code"]) == (4, "SIGNATURE_INVALID")
-    assert session.json("audit", "verify", forged, "--key", "no key")[0] == 4
+    assert session.json("audit", "verify", forged, "--log-key", "no key")[0] == 4
 
 
 def test_the_checkpoint_of_another_log_is_not_this_ones(session: Desk) -> None:
@@ -205,7 +209,7 @@ def test_the_checkpoint_of_another_log_is_not_this_ones(session: Desk) -> None:
         text = session.note.text.replace(checkpoint_of(ROWS).origin, origin)
         note = Note(text, sign_text(text, origin, session.signer))
         name = session.export(ROWS, note)
-        code, told = session.json("audit", "verify", name, "--key", session.key)
+        code, told = session.json("audit", "verify", name, "--log-key", session.key)
         assert (code, told["error"]["code"]) == (4, "SIGNATURE_MISSING")
         assert session.json("audit", "verify", name, "--trust", "trust")[0] in {4, 5}
 
@@ -218,7 +222,9 @@ def test_a_trust_folder_without_the_gates_certificate_needs_a_key(session: Desk)
         "audit", "key", "--trust", "trust", "--robot", ROBOT, "--cert", "gate.pem"
     )
     assert (code, told) == (0, {"robot": ROBOT, "keys": [session.key]})
-    assert session.json("audit", "verify", name, "--trust", "trust", "--key", session.key)[0] == 0
+    assert (
+        session.json("audit", "verify", name, "--trust", "trust", "--log-key", session.key)[0] == 0
+    )
     assert session.json("audit", "key", "--trust", "trust", "--robot", ROBOT)[0] == 5
 
 
@@ -228,7 +234,7 @@ def test_witnesses_are_counted_by_their_keys(session: Desk) -> None:
     text = session.note.text
     lines = [cosign(text, key.name, held, AT) for key, held in zip(keys, own, strict=True)]
     name = session.export(ROWS, Note(text, (*session.note.signatures, *lines[:2])))
-    given = ["--key", session.key]
+    given = ["--log-key", session.key]
     for key in keys:
         given += ["--witness", key.text()]
     code, told = session.json("audit", "verify", name, *given, "--quorum", "2")
@@ -246,7 +252,7 @@ def test_witnesses_are_counted_by_their_keys(session: Desk) -> None:
     twin = witness_key("twin.example", own[0].public_key())
     twice = (lines[0], cosign(text, twin.name, own[0], AT))
     name = session.export(ROWS, Note(text, (*session.note.signatures, *twice)))
-    pair = ["--key", session.key, "--witness", keys[0].text(), "--witness", twin.text()]
+    pair = ["--log-key", session.key, "--witness", keys[0].text(), "--witness", twin.text()]
     assert session.json("audit", "verify", name, *pair)[0] == 4
     assert session.json("audit", "verify", name, *pair, "--quorum", "1")[0] == 0
     # a log's own key is no witness, whatever it is called
@@ -303,7 +309,7 @@ def test_any_number_of_processes_tells_the_same_of_a_store_and_an_export(
     for number, given in enumerate((rows, bad, rows[:90])):
         for name in (session.export(given, note), session.store(given, note, f"{number}.db")):
             told = [
-                session.json("audit", "verify", name, "--key", session.key, "--jobs", jobs)
+                session.json("audit", "verify", name, "--log-key", session.key, "--jobs", jobs)
                 for jobs in "123"
             ]
             assert told[0] == told[1] == told[2]

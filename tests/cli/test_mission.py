@@ -197,7 +197,7 @@ def test_a_fault_of_the_draft_is_not_asked_about_for_ever(shell: Shell) -> None:
 
 
 def test_lint_names_what_to_look_at_and_fails_on_errors(shell: Shell) -> None:
-    code, text = shell("mission", "lint", compiled(shell), *SITE)
+    code, text = shell("mission", "check", compiled(shell), *SITE)
     assert (code, text.splitlines()[0]) == (
         0,
         (
@@ -205,8 +205,8 @@ def test_lint_names_what_to_look_at_and_fails_on_errors(shell: Shell) -> None:
             "no guard on trusted state"
         ),
     )
-    assert shell("mission", "lint", "m.json", *SITE, "--strict")[0] == 1
-    code, found = shell.json("mission", "lint", compiled(shell, UNGUARDED), *SITE)
+    assert shell("mission", "check", "m.json", *SITE, "--strict")[0] == 1
+    code, found = shell.json("mission", "check", compiled(shell, UNGUARDED), *SITE)
     assert code == 1
     assert [(f["code"], f["severity"]) for f in found["lint"]] == [("UNGUARDED_RETURN", "error")]
     assert set(found["lint"][0]) == {"code", "where", "message", "mend", "severity"}
@@ -214,7 +214,9 @@ def test_lint_names_what_to_look_at_and_fails_on_errors(shell: Shell) -> None:
 
 def test_a_mission_without_findings_says_so(shell: Shell) -> None:
     guard = "    guards: [{variable: holding, eq: nothing, max_age: 1 s}]\n"
-    code, text = shell("mission", "lint", compiled(shell, (UNGUARDED[0], guard)), *SITE, "--strict")
+    code, text = shell(
+        "mission", "check", compiled(shell, (UNGUARDED[0], guard)), *SITE, "--strict"
+    )
     assert (code, text) == (0, "nothing to look at\n")
 
 
@@ -231,7 +233,7 @@ def test_compile_and_review_show_the_findings_too(shell: Shell) -> None:
 def test_a_file_that_breaks_a_rule_of_the_language_is_not_even_shown(shell: Shell) -> None:
     text = Path(compiled(shell)).read_text()
     Path("m.json").write_text(text.replace('"after":["pick-p1"]', '"after":["nobody"]'))
-    for verb in (["review"], ["lint"], ["diff", "m.json"]):
+    for verb in (["review"], ["check"], ["diff", "m.json"]):
         code, error = shell.json("mission", *verb, "m.json", *SITE)
         assert (code, error["error"]["code"]) == (4, "SCHEMA_INVALID")
     assert sign(shell, *SITE, "--yes")[0] == 4

@@ -326,3 +326,14 @@ tools:
     assert code == 0
     assert len(warnings) == len(told["assumed"])
     assert all("`succeeds` or `fails`: tools.go" in line for line in warnings)
+
+
+def test_the_examples_are_copied_and_nothing_is_overwritten(shell: Shell) -> None:
+    code, told = shell.json("examples", "--out", "mine")
+    assert code == 0
+    assert {"mine/hospital/site.yaml", "mine/hospital/binding.yaml"} <= set(told["files"])
+    assert shell("site", "check", "mine/hospital/site.yaml")[0] == 0
+    code, told = shell.json("examples", "--out", "mine")
+    assert (code, told["error"]["where"]) == (5, "mine")
+    Path("file").write_text("")
+    assert shell("examples", "--out", "file")[0] == 5

@@ -136,7 +136,7 @@ class World:
         assert self("export", who, "--format", "csv", "--out", table)[0] == 0
         lines = table.read_text().splitlines()
         parts = [lines[0], *lines[2:]]
-        for words in (["show", "--from", 1], ["show", "--from", 1, "--json"], ["replay"]):
+        for words in (["show", "--first", 1], ["show", "--first", 1, "--json"], ["replay"]):
             code, text = self(str(words[0]), who, *words[1:])
             assert code == 0, text
             parts.append(text)
@@ -215,7 +215,7 @@ def test_a_role_sees_its_own_fields_and_no_others_in_anything(
 
 def test_what_stays_closed_is_shown_as_closed(world: World) -> None:
     seq = world.seq("decision", "accept")
-    line = {who: world("show", who, "--from", seq, "--to", seq)[1] for who in (*ROLES, *NOBODY)}
+    line = {who: world("show", who, "--first", seq, "--last", seq)[1] for who in (*ROLES, *NOBODY)}
     for who in NOBODY:
         _, _, told = line[who].partition(" m-1 ")
         assert " ".join(told.split()) == "- [sealed: evidence, object, parameter, person, region]"
@@ -224,14 +224,14 @@ def test_what_stays_closed_is_shown_as_closed(world: World) -> None:
     assert " speed_mm_s=800 [sealed: evidence, person, region]" in line["pharmacist"]
     assert "planner           navigate dock -> pharmacy speed_mm_s=800" in line["auditor"]
     assert "[" not in line["auditor"]
-    _, told = world.json("show", "porter", "--from", seq, "--to", seq)
+    _, told = world.json("show", "porter", "--first", seq, "--last", seq)
     (record,) = told["records"]
     assert record["closed"] == {
         "sealed": ["evidence", "object", "parameter", "person"],
         "destroyed": [],
     }
     assert record["values"]["action.regions"]["destination"] == "pharmacy"
-    _, told = world.json("show", "auditor", "--from", seq, "--to", seq)
+    _, told = world.json("show", "auditor", "--first", seq, "--last", seq)
     assert "closed" not in told["records"][0]
     assert told["records"][0]["values"]["action"]["destination"] == "pharmacy"
 
@@ -507,7 +507,7 @@ def test_what_was_destroyed_is_said_to_be_whoever_asks(
     rows = destroyed(world.rows(), DataClass.OBJECT, boxes=boxes)
     path, key = written(tmp_path / "log.jsonl", rows), world.key(who)
     seq = world.seq("decision", "accept", 1)
-    _, text = say("audit", "show", path, "--from", seq, "--to", seq, *key)
+    _, text = say("audit", "show", path, "--first", seq, "--last", seq, *key)
     gone = "[destroyed: object]\n"
     assert text.endswith(gone)
     assert ("at pharmacy force_mn=12000" in text) == (who == "auditor")
@@ -596,7 +596,7 @@ def test_a_passphrase_seals_the_file(
 ) -> None:
     path = tmp_path / "r.key.pem"
     code, text = say("audit", "reader", path, "--protect")
-    assert (code, "nobody is there" in text, path.exists()) == (2, True, False)
+    assert (code, "no terminal to ask at" in text, path.exists()) == (2, True, False)
     typed = iter([SAID, f"{SAID}!", SAID, SAID])
     monkeypatch.setattr("getpass.getpass", lambda _: next(typed))
     code, text = say("audit", "reader", path, "--protect", stdin=Terminal())

@@ -33,7 +33,7 @@ GO = scenarios.navigate("dock", "pharmacy")
 SCAN = "scan_obstacles"
 #: Records of the log, its first segment's end, and the end of the second.
 SIZE, FIRST, SECOND = 1_899, 1_024, 1_536
-KEY = ("--key", log_keys()[0].text())
+KEY = ("--log-key", log_keys()[0].text())
 
 
 def made(path: Path) -> None:
@@ -116,7 +116,10 @@ def test_an_export_of_a_rotated_log_is_whole_to_a_stranger(
     assert told(capsys, "verify", out, *KEY)[1]["size"] == SIZE
     assert NODE is not None
     done = subprocess.run(
-        [NODE, str(VERIFIER), str(out), *KEY], capture_output=True, text=True, check=False
+        [NODE, str(VERIFIER), str(out), "--key", KEY[1]],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert f"{SIZE} records" in done.stdout
@@ -257,7 +260,7 @@ def test_a_segment_that_another_key_signed_is_refused(
 ) -> None:
     key = log_keys()[0]
     forged = type(key)("authguard-r/another/audit", key.kind, key.public)
-    code, text = said(capsys, "segments", kept, "--key", forged.text())
+    code, text = said(capsys, "segments", kept, "--log-key", forged.text())
     assert code == 4
     assert "SIGNATURE_MISSING" in text
 

@@ -157,6 +157,28 @@ def test_check_names_every_fault_at_once(shell: Shell) -> None:
     assert shell("site", "check", "h/site.yaml")[0] == 0
 
 
+def test_check_names_every_schema_fault_at_once_with_the_allowed_values(shell: Shell) -> None:
+    text = (shell.folder / "h" / "site.yaml").read_text()
+    for old, new in (
+        ("approach: [17000, 1500]", "approach: [17000, x]"),  # of the public corridor
+        ("station-101:\n    {map: main", "station-101:\n    {mop: main"),
+        ("  pick:\n", "  pick:\n    physical: much\n"),
+    ):
+        assert old in text
+        text = text.replace(old, new, 1)
+    (shell.folder / "bad.yaml").write_text(text)
+    code, answer = shell.json("site", "check", "bad.yaml")
+    assert code == 4
+    assert [(fault["where"], fault["message"]) for fault in answer["faults"]] == [
+        ("regions.public-corridor.approach[1]", "expected `int`, got `str`"),
+        ("regions.station-101", "object contains unknown field `mop`"),
+        ("vocabulary.pick.physical", "expected `int`, got `str`"),
+    ]
+    assert answer["error"]["where"] == "bad.yaml:regions.public-corridor.approach[1]"
+    code, answer = shell.json("site", "check", "h/binding.yaml")
+    assert "expected `authguard-r/site/1`" in answer["error"]["message"]
+
+
 def test_check_takes_words_from_the_standard_vocabulary(shell: Shell) -> None:
     text = (shell.folder / "h" / "site.yaml").read_text()
     (shell.folder / "w.yaml").write_text(f"{text}words: [open, close]\n")

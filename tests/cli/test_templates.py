@@ -319,8 +319,8 @@ def test_a_withdrawn_template_says_so(shell: Shell) -> None:
     shell("mission", "activate", instance, *AT)
     officer = "trust/keys/safety-officer-1"
     key = ["--key", f"{officer}.key.pem", "--cert", f"{officer}.cert.pem"]
-    assert shell("mission", "template", "withdraw", token, *AT, "--key", key[1])[0] == 2
-    code, found = shell.json("mission", "template", "withdraw", token, *AT, *key)
+    assert shell("mission", "template", "withdraw", token, *AT, *key[2:])[0] == 2
+    code, found = shell.json("mission", "template", "withdraw", token, *AT, *key[:2])
     assert (code, found["status"], found["template"]["used"]) == (0, "withdrawn", 1)
     assert shell("mission", "template", "withdraw", token, *AT)[0] == 1
     assert shell("mission", "template", "admit", token, *AT, "--new")[0] == 1

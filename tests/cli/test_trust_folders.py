@@ -62,7 +62,7 @@ def member(shell: Shell, name: str = "op") -> None:
 def install(shell: Shell, name: str = "op", *more: object) -> tuple[int, str]:
     root = fingerprint(read_trust(Path("auth")).roots)
     words = (f"{name}/operator-1.answer.json", "--key", f"{name}/operator-1.key.pem")
-    return shell("keys", "install", *words, "--dir", f"{name}/trust", "--root", root, *more)
+    return shell("keys", "install", *words, "--trust", f"{name}/trust", "--root", root, *more)
 
 
 def numbers(folder: str) -> dict[str, int]:
@@ -76,7 +76,7 @@ def test_every_list_is_brought_though_most_are_there_already(shell: Shell) -> No
     member(shell)
     assert shell("keys", "revoke", "auth", "operator-1")[0] == 0
     for _ in range(2):
-        code, told = shell.json("revocations", "install", *LISTS, "--trust", "op/trust")
+        code, told = shell.json("advanced", "revocations", "install", *LISTS, "--trust", "op/trust")
         assert (code, len(told["installed"])) == (0, 4)
         assert numbers("op/trust") == {"root": 1, "site": 1, "machines": 1, "people": 2}
 
@@ -87,7 +87,7 @@ def test_what_did_not_go_in_is_said_and_the_others_did(shell: Shell) -> None:
     for name in ("operator-1", "site"):
         assert shell("keys", "revoke", "auth", name)[0] == 0
     Path("junk.json").write_bytes(b"{}")
-    words = ("revocations", "install", "none.json", "junk.json", "older.json", *LISTS)
+    words = ("advanced", "revocations", "install", "none.json", "junk.json", "older.json", *LISTS)
     code, told = shell.json(*words, "--trust", "op/trust")
     assert (code, told["error"]["code"]) == (5, "STORE_UNAVAILABLE")
     assert [(item["file"], item["at"]) for item in told["refused"]] == [
@@ -95,9 +95,13 @@ def test_what_did_not_go_in_is_said_and_the_others_did(shell: Shell) -> None:
         ("junk.json", "op/trust"),
     ]
     assert numbers("op/trust") == {"root": 2, "site": 1, "machines": 1, "people": 2}
-    code, told = shell.json("revocations", "install", "older.json", LISTS[0], "--trust", "op/trust")
+    code, told = shell.json(
+        "advanced", "revocations", "install", "older.json", LISTS[0], "--trust", "op/trust"
+    )
     assert (code, told["error"]["code"]) == (4, "REVOCATION_STALE")
-    code, said = shell("revocations", "install", "older.json", LISTS[0], "--trust", "op/trust")
+    code, said = shell(
+        "advanced", "revocations", "install", "older.json", LISTS[0], "--trust", "op/trust"
+    )
     assert code == 4
     assert "op/trust: machines number 1" in said
     assert "older.json, at op/trust: expected a list after number 2" in said
@@ -110,7 +114,7 @@ def test_a_gate_that_has_the_list_does_not_keep_it_from_the_folder(tmp_path: Pat
     with RunningGate(simulate=True, trust=own) as gate:
         assert call(["keys", "revoke", str(gate.trust), "supervisor-2"]) == 0
         lists = [str(path) for path in sorted((gate.trust / "revocations").glob("*.json"))]
-        words = ["revocations", "install", *lists, "--gate", str(gate.socket)]
+        words = ["advanced", "revocations", "install", *lists, "--gate", str(gate.socket)]
         assert call(words) == 0
         assert call([*words, "--trust", str(copy)]) == 0
         assert numbers(str(copy))["people"] == 2
@@ -119,7 +123,16 @@ def test_a_gate_that_has_the_list_does_not_keep_it_from_the_folder(tmp_path: Pat
 def test_a_gate_that_is_not_there_does_not_keep_it_from_the_folder(shell: Shell) -> None:
     member(shell)
     assert shell("keys", "revoke", "auth", "operator-1")[0] == 0
-    words = ("revocations", "install", LISTS[1], "--gate", "nowhere", "--trust", "op/trust")
+    words = (
+        "advanced",
+        "revocations",
+        "install",
+        LISTS[1],
+        "--gate",
+        "nowhere",
+        "--trust",
+        "op/trust",
+    )
     code, told = shell.json(*words)
     assert (code, [item["at"] for item in told["refused"]]) == (5, ["gate"])
     assert numbers("op/trust")["people"] == 2

@@ -264,7 +264,7 @@ def test_a_gate_does_not_start_with_a_policy_that_does_not_count(
             value = policy_now(**changes)
             ward.policy.write_bytes(emergency_policies.token(value, by=by))
         words = ["--site", ward.site, "--binding", ward.binding, "--config", ward._config]
-        words += ["--store", ward.store, "--run", ward.run, "--robot", ward.rid, "--demo"]
+        words += ["--store", ward.store, "--gate", ward.run, "--robot", ward.rid, "--demo"]
         words += ["--trust", ward.trust, "--emergency-policy", ward.policy, "--json"]
         done = subprocess.run([AUTHGUARD, "gate", *words], capture_output=True, check=False)
         assert done.returncode == 4

@@ -177,7 +177,7 @@ def test_a_stop_lane_that_dies_is_started_again(gate: RunningGate) -> None:
 
     until(served, "a stop through the new lane")
     alerts = [r.open["what"] for r in gate.records() if r.kind == "alert"]
-    assert "the stop lane is gone" in alerts
+    assert "the stop process is gone" in alerts
 
 
 @pytest.mark.smoke

@@ -113,7 +113,7 @@ def test_a_gate_moves_its_oldest_records_while_it_decides(gate: Rotating) -> Non
     rows = tuple(read_rows(gate.store))
     assert verify_rows(rows, anchors=[of_checkpoint(before)]).whole
     assert int(read_held(gate.store, SEGMENT, "mark") or b"0") >= 3 * 256
-    assert call(["audit", "segments", str(gate.store), "--key", log_keys()[0].text()]) == 0
+    assert call(["audit", "segments", str(gate.store), "--log-key", log_keys()[0].text()]) == 0
     for _ in range(10):  # ten times a second the gate deletes some of what it moved
         if oldest(gate.store) > 0:
             break

@@ -87,7 +87,7 @@ def decision_point(gate: RunningGate, folder: Path, *more: str) -> Iterator[Atta
 
 @contextmanager
 def gateway(gate: RunningGate, folder: Path) -> Iterator[Attacked]:
-    words = ["mcp", "--robot", gate.rid, "--run", gate.run, "--site", gate.site]
+    words = ["mcp", "--robot", gate.rid, "--gate", gate.run, "--site", gate.site]
     words += ["--binding", gate.binding, "--trust", gate.trust, "--listen", "127.0.0.1:0"]
     words += ["--token-file", token_file(gate), "--", sys.executable, SERVER, folder / "calls"]
     command = few_files(authguard(*map(str, words)))
@@ -199,7 +199,7 @@ def test_a_stranger_goes_and_who_waits_for_an_answer_does_not(attacked: Attacked
 
 
 def test_with_too_few_files_a_listener_does_not_start(gate: RunningGate) -> None:
-    words = ["serve", "--robot", gate.rid, "--run", gate.run, "--trust", gate.trust]
+    words = ["serve", "--robot", gate.rid, "--gate", gate.run, "--trust", gate.trust]
     words += ["--token-file", token_file(gate), "--listen", "127.0.0.1:0"]
     done = subprocess.run(
         few_files(authguard(*map(str, words)), 64),

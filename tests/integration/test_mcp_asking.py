@@ -90,7 +90,7 @@ class AskingSetup:
 
     def _started(self) -> Any:
         gate = self.gate
-        words = ["mcp", "--robot", gate.rid, "--run", gate.run, "--site", gate.site]
+        words = ["mcp", "--robot", gate.rid, "--gate", gate.run, "--site", gate.site]
         words += ["--binding", gate.binding, "--trust", gate.trust, "--client", self.name]
         command, *words = authguard(*words, "--", sys.executable, SERVER, self.calls)
         env = environment(measured=False)

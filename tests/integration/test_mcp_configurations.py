@@ -67,7 +67,7 @@ def server(calls: Path) -> list[str]:
 
 def filled(gate: RunningGate, words: list[str], pins: Path, calls: Path) -> list[str]:
     """Return an entry's arguments with this machine's own places."""
-    own = {"--run": gate.run, "--site": gate.site, "--binding": gate.binding}
+    own = {"--gate": gate.run, "--site": gate.site, "--binding": gate.binding}
     own |= {"--trust": gate.trust, "--pins": pins, "--robot": gate.rid}
     options = words[: words.index("--")]
     for name, value in own.items():
@@ -79,7 +79,7 @@ def filled(gate: RunningGate, words: list[str], pins: Path, calls: Path) -> list
 def pins(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the file with the server's tools, as the how-to has it made."""
     folder = tmp_path_factory.mktemp("pins")
-    words = ["mcp-tools", "--site", scenarios.HOSPITAL / "site.yaml"]
+    words = ["advanced", "mcp-tools", "--site", scenarios.HOSPITAL / "site.yaml"]
     words += ["--binding", scenarios.HOSPITAL / "binding.yaml", "--out", folder / "tools.json"]
     words += ["--", *server(folder / "calls.jsonl")]
     subprocess.run([AUTHGUARD, *words], capture_output=True, check=False)
@@ -118,7 +118,7 @@ def test_a_client_that_reaches_the_gateway_is_guarded(gate: RunningGate, tmp_pat
     calls, token = tmp_path / "calls.jsonl", tmp_path / "token"
     token.write_text(TOKEN)
     token.chmod(0o600)
-    words = ["mcp", "--robot", gate.rid, "--run", gate.run, "--site", gate.site]
+    words = ["mcp", "--robot", gate.rid, "--gate", gate.run, "--site", gate.site]
     words += ["--binding", gate.binding, "--trust", gate.trust]
     words += ["--listen", "127.0.0.1:0", "--token-file", token, "--", *server(calls)]
     with subprocess.Popen(

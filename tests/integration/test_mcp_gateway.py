@@ -143,7 +143,7 @@ class DemoGateway:
     def words(self, *faults: str, more: tuple[str, ...] = ()) -> list[str]:
         """Return the gateway's command, as a planner's host would start it."""
         gate = self.gate
-        words = ["mcp", "--robot", gate.rid, "--run", gate.run, "--site", gate.site]
+        words = ["mcp", "--robot", gate.rid, "--gate", gate.run, "--site", gate.site]
         words += ["--binding", gate.binding, "--trust", gate.trust, "--client", self.name]
         words += [*more, "--"]
         return authguard(*words, sys.executable, SERVER, self.calls_file, *faults)
@@ -830,7 +830,7 @@ def test_a_server_that_does_not_come_is_an_error_with_its_place(
 
 def test_what_kept_a_gateway_from_starting_is_one_error(house: DemoGateway, tmp_path: Path) -> None:
     """A person reads why, and no group of exceptions."""
-    words = ["mcp", "--robot", "courier-1", "--run", str(tmp_path / "none")]
+    words = ["mcp", "--robot", "courier-1", "--gate", str(tmp_path / "none")]
     words += ["--site", str(house.gate.site), "--binding", str(house.gate.binding)]
     words += ["--trust", str(house.gate.trust), "--", "nothing"]
     code, out = called(words)
@@ -853,7 +853,7 @@ def test_what_a_front_raises_is_raised_as_it_is(house: DemoGateway) -> None:
 
 def test_the_commands_say_what_becomes_of_each_tool(tmp_path: Path) -> None:
     pins = tmp_path / "pins.json"
-    words = ["mcp-tools", "--site", str(scenarios.HOSPITAL / "site.yaml")]
+    words = ["advanced", "mcp-tools", "--site", str(scenarios.HOSPITAL / "site.yaml")]
     words += ["--binding", str(scenarios.HOSPITAL / "binding.yaml")]
     words += ["--out", str(pins), "--json", "--", sys.executable, str(SERVER), "calls.jsonl"]
     done = subprocess.run(
@@ -1039,7 +1039,7 @@ def test_a_gateway_in_shadow_mode_does_not_go_past_a_gate_that_enforces(house: D
 def test_what_is_wrong_on_the_command_line_is_said_before_anything_starts(
     tmp_path: Path, more: tuple[str, ...], said: str
 ) -> None:
-    words = ["mcp", "--robot", "courier-1", "--run", str(tmp_path), *more]
+    words = ["mcp", "--robot", "courier-1", "--gate", str(tmp_path), *more]
     words += ["--site", str(scenarios.HOSPITAL / "site.yaml")]
     words += ["--binding", str(scenarios.HOSPITAL / "binding.yaml")]
     words += ["--trust", str(scenarios.trust_folder()), "--", "nothing"]

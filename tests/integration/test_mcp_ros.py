@@ -88,7 +88,7 @@ def asked(
     gate: RunningGate, *calls: tuple[str, dict[str, Any]]
 ) -> tuple[list[str], list[types.CallToolResult]]:
     """Return the tools that a client is shown, and what it is answered to each call."""
-    words = ["mcp", "--robot", gate.rid, "--run", gate.run, "--site", gate.site]
+    words = ["mcp", "--robot", gate.rid, "--gate", gate.run, "--site", gate.site]
     words += ["--binding", "ros-mcp", "--trust", gate.trust, "--", BIN / SERVER[0], *SERVER[1:]]
     server = StdioServerParameters(command=str(AUTHGUARD), args=[str(word) for word in words])
 
@@ -139,7 +139,7 @@ def test_l1_every_tool_of_the_server_is_bound_and_no_more_is_there(
     site: Path, arrived: Path
 ) -> None:
     """All 31 of this version; another version has to be looked at anew."""
-    words = ["mcp-tools", "--binding", "ros-mcp", "--json", "--site", str(site), "--"]
+    words = ["advanced", "mcp-tools", "--binding", "ros-mcp", "--json", "--site", str(site), "--"]
     words += [str(BIN / SERVER[0]), *SERVER[1:]]
     done = subprocess.run([AUTHGUARD, *words], capture_output=True, text=True, check=False)
     told = json.loads(done.stdout)

@@ -33,7 +33,7 @@ def gate() -> Iterator[RunningGate]:
 
 
 def started(gate: RunningGate, calls: Path, **pipes: Any) -> subprocess.Popen[bytes]:
-    words = ["mcp", "--robot", gate.rid, "--run", gate.run, "--site", gate.site]
+    words = ["mcp", "--robot", gate.rid, "--gate", gate.run, "--site", gate.site]
     words += ["--binding", gate.binding, "--trust", gate.trust, "--", sys.executable, SERVER, calls]
     return subprocess.Popen(authguard(*words), env=environment(measured=False), **pipes)
 

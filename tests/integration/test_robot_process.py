@@ -98,7 +98,7 @@ class RobotSetup:
     def robot_words(self, *options: object) -> list[object]:
         """Return the robot's command, without the program."""
         words = ["robot", "--site", self.folder / "site.yaml", "--robot", scenarios.RID]
-        return [*words, "--run", self.run, "--trust", self.trust, "--json", *options]
+        return [*words, "--gate", self.run, "--trust", self.trust, "--json", *options]
 
     def robot(self, *options: object) -> subprocess.Popen[str]:
         return self.start(*authguard(*self.robot_words(*options)))
@@ -107,7 +107,7 @@ class RobotSetup:
         """Return the estimator's command, without the program."""
         name = self.trust / "keys" / f"estimator-{scenarios.RID}"
         key = ("--key", f"{name}.key.pem", "--cert", f"{name}.cert.pem")
-        words = ["estimator", "--robot", scenarios.RID, "--run", self.run, "--trust", self.trust]
+        words = ["estimator", "--robot", scenarios.RID, "--gate", self.run, "--trust", self.trust]
         return [*words, "--json", *key, *options]
 
     def estimator(self, *options: object) -> subprocess.Popen[str]:
@@ -576,7 +576,7 @@ def answers(path: Path) -> bool:
 @pytest.mark.parametrize(
     ("options", "code", "told"),
     [
-        (("--run", "nowhere"), 5, "nowhere"),
+        (("--gate", "nowhere"), 5, "nowhere"),
         (("--trust", "nowhere"), 5, "root.pem"),
         (("--site", "nowhere.yaml"), 5, "nowhere.yaml"),
         (("--robot", "nobody"), 2, "nobody"),
@@ -696,7 +696,7 @@ def test_a_gate_that_answers_no_snapshot_is_called_again(
 @pytest.mark.parametrize(
     ("options", "code", "told"),
     [
-        (("--run", "nowhere"), 5, "nowhere"),
+        (("--gate", "nowhere"), 5, "nowhere"),
         (("--trust", "nowhere"), 5, "root.pem"),
         (("--key", "nowhere.pem"), 5, "nowhere.pem"),
         (("--robot", scenarios.OTHER), 4, "cert.pem"),

@@ -95,7 +95,7 @@ class Site:
         words = ("--key", key, "--cert", cert, "--trust", self.trust, "--out", self.new)
         made = self.run("keys", "rotate", *words)
         answer = self.run("keys", "issue", self.auth, made["request"], "--yes")["answer"]
-        words = ("--key", made["key"], "--dir", self.trust)
+        words = ("--key", made["key"], "--trust", self.trust)
         told = self.run("keys", "install", answer, *words)
         return Path(made["key"]), Path(told["cert"])
 
@@ -106,7 +106,7 @@ class Site:
 
     def bring(self, gate: RunningGate, *files: Path) -> None:
         words = ("--gate", gate.run, "--trust", self.trust)
-        self.run("revocations", "install", *files, *words)
+        self.run("advanced", "revocations", "install", *files, *words)
 
 
 @pytest.fixture
@@ -151,7 +151,7 @@ def test_nothing_is_refused_while_operator_estimator_and_lists_change(
         planner.goes_on()
         # the estimator: the new one speaks before the old one ends
         key, cert = site.rotate(f"estimator-{scenarios.RID}")
-        words = ("--robot", scenarios.RID, "--run", gate.run, "--trust", site.trust)
+        words = ("--robot", scenarios.RID, "--gate", gate.run, "--trust", site.trust)
         gate.launch("estimator", *words, "--rate", "50", "--key", key, "--cert", cert)
         gate.ready("estimator")
         planner.goes_on()

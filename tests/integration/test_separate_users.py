@@ -108,7 +108,7 @@ class Machine:
         return [
             *("--robot", "courier-1", "--trust", f"{etc}/trust", "--config", f"{etc}/gate.token"),
             *("--key", f"{etc}/gate/gate.key.pem", "--cert", f"{etc}/gate/gate.cert.pem"),
-            *("--run", f"{self.folder}/run"),
+            *("--gate", f"{self.folder}/run"),
         ]
 
     def gate(self, *, store: str = "store/robot.db") -> list[str]:
@@ -135,10 +135,10 @@ def machine() -> Iterator[Machine]:
 
 def test_a_robot_runs_under_users_of_their_own(machine: Machine) -> None:
     etc, run, body = machine.folder / "etc", machine.folder / "run", machine.folder / "body"
-    lane = machine.start(GATE, "stop-lane", *machine.parts())
+    lane = machine.start(GATE, "advanced", "stop-process", *machine.parts())
     gate = machine.start(GATE, *machine.gate())
     site = ["--site", f"{etc}/site.token"]
-    common = ["--robot", "courier-1", "--trust", f"{etc}/trust", "--run", str(body)]
+    common = ["--robot", "courier-1", "--trust", f"{etc}/trust", "--gate", str(body)]
     machine.start(ROBOT, "robot", *common, *site)
     own = ["--key", f"{etc}/estimator/estimator.key.pem"]
     own += ["--cert", f"{etc}/estimator/estimator.cert.pem"]
@@ -172,7 +172,7 @@ def test_a_robot_runs_under_users_of_their_own(machine: Machine) -> None:
 
 
 def test_the_planner_can_read_and_write_nothing_that_counts(machine: Machine) -> None:
-    machine.start(GATE, "stop-lane", *machine.parts())
+    machine.start(GATE, "advanced", "stop-process", *machine.parts())
     machine.start(GATE, *machine.gate())
     etc, run = machine.folder / "etc", machine.folder / "run"
     tried = f"""

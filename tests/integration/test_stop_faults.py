@@ -146,7 +146,7 @@ def test_a_stop_that_was_received_is_carried_out_although_its_client_is_gone(
 def test_a_person_is_told_which_part_does_not_answer_and_may_give_up(yard: Yard) -> None:  # noqa: F811
     serves(yard.gate)
     with yard.walk() as (walk, trail):
-        words = authguard("stop", "--gate", yard.gate.run, "--why", "given up", measured=False)
+        words = authguard("stop", "--gate", yard.gate.run, "--reason", "given up", measured=False)
         with frozen(lane_of(yard.gate), yard.gate.pid):
             before = signal.signal(signal.SIGINT, signal.default_int_handler)
             hand = subprocess.Popen(  # what is ignored here would be ignored there
@@ -240,7 +240,7 @@ def test_a_person_is_told_that_the_robot_does_not_say_that_it_stands_and_then_th
     yard: Yard,  # noqa: F811
 ) -> None:
     serves(yard.gate)
-    words = authguard("stop", "--gate", yard.gate.run, "--why", "slow", measured=False)
+    words = authguard("stop", "--gate", yard.gate.run, "--reason", "slow", measured=False)
     with yard.mission(), frozen(yard.gate._started["robot"].pid):
         begun_ms = now_ms()
         hand = subprocess.Popen(

@@ -371,9 +371,15 @@ def test_a_lane_outlives_the_gate_that_started_it_and_is_adopted_by_the_next(
 
 def test_a_second_lane_is_refused_with_its_reason(files: EStopFiles) -> None:
     with estop_fixtures.process(files):
-        words = [sys.executable, "-c", "from authguard_r.cli import main; main()", "stop-lane"]
+        words = [
+            sys.executable,
+            "-c",
+            "from authguard_r.cli import main; main()",
+            "advanced",
+            "stop-process",
+        ]
         for name in ("run", "robot", "trust", "key", "cert", "config"):
-            words += [f"--{name}", str(getattr(files, name))]
+            words += [f"--{'gate' if name == 'run' else name}", str(getattr(files, name))]
         second = subprocess.run([*words, "--json"], capture_output=True, check=False)
         assert second.returncode == 5
         error = json.loads(second.stdout)["error"]

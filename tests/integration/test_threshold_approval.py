@@ -67,7 +67,7 @@ def certified(bench: Bench, name: str, members: tuple[str, ...], *more: str) -> 
     file.write_bytes(written(made.group))
     scope = more or ("--every-robot", "--every-region")
     options = ["--trust", str(bench.folder), "--group", str(file), "--role", "supervisor"]
-    assert call(["frost", "certify", *options, *scope, "--yes"]) == 0
+    assert call(["advanced", "frost", "certify", *options, *scope, "--yes"]) == 0
     pem = (bench.folder / "keys" / f"{name}.cert.pem").read_bytes()
     chain = tuple(c.public_bytes(Encoding.DER) for c in x509.load_pem_x509_certificates(pem))
     return Group(made, chain)
@@ -242,7 +242,7 @@ def test_a_group_issues_no_mission_and_gives_no_order(bench: Any, tmp_path: Path
     file.write_bytes(written(made.group))
     options = ["--trust", str(bench.folder), "--group", str(file), "--role", "operator"]
     scope = ("--every-robot", "--every-region")
-    assert call(["frost", "certify", *options, *scope, "--yes"]) == 4
+    assert call(["advanced", "frost", "certify", *options, *scope, "--yes"]) == 4
     assert not (bench.folder / "keys" / "board-9.cert.pem").exists()
 
 
@@ -263,10 +263,21 @@ def test_a_group_answers_at_a_gate_that_runs(
         return said
 
     members = [word for name in BOARD for word in ("--member", name)]
-    done("frost", "deal", "--group", "board-1", "--threshold", 3, *members, "--out", tmp_path)
+    done(
+        "advanced",
+        "frost",
+        "deal",
+        "--group",
+        "board-1",
+        "--threshold",
+        3,
+        *members,
+        "--out",
+        tmp_path,
+    )
     group, cert = tmp_path / "group.json", trust / "keys" / "board-1.cert.pem"
     every = ("--role", "supervisor", "--every-robot", "--every-region")
-    done("frost", "certify", "--trust", trust, "--group", group, *every, "--yes")
+    done("advanced", "frost", "certify", "--trust", trust, "--group", group, *every, "--yes")
     row = {
         "source": "dock",
         "destination": "isolation-room",
@@ -284,20 +295,20 @@ def test_a_group_answers_at_a_gate_that_runs(
             "the request",
         )
         at, ballot = ("--gate", gate.socket, "--trust", trust), tmp_path / "ballot.json"
-        assert done("frost", "ballot", 1, *at, "--out", ballot)["required"] == 4
+        assert done("advanced", "frost", "ballot", 1, *at, "--out", ballot)["required"] == 4
         signers = [w for n in BOARD[:3] for w in ("--commitment", tmp_path / f"{n}.commitment")]
         own = {
             name: ("--share", tmp_path / f"{name}.share.json", "--nonces", tmp_path / name)
             for name in BOARD[:3]
         }
         for name, words in own.items():
-            done("frost", "commit", *words, "--out", tmp_path / f"{name}.commitment")
+            done("advanced", "frost", "commit", *words, "--out", tmp_path / f"{name}.commitment")
         for name, words in own.items():
             more = ("--ballot", ballot, *signers, "--out", tmp_path / f"{name}.part", "--yes")
-            done("frost", "share", *words, *more)
+            done("advanced", "frost", "share", *words, *more)
         parts = [word for name in own for word in ("--part", tmp_path / f"{name}.part")]
         told = ("--group", group, "--cert", cert, "--ballot", ballot, *signers, *parts)
-        done("frost", "aggregate", *told, "--out", tmp_path / "a.token")
-        said = done("frost", "submit", tmp_path / "a.token", *at)
+        done("advanced", "frost", "aggregate", *told, "--out", tmp_path / "a.token")
+        said = done("advanced", "frost", "submit", tmp_path / "a.token", *at)
         assert (said["approver"], said["counts"]) == ("board-1", True)
         assert planner.propose(PLAN)["steps"][-1]["reasons"] == []

@@ -22,6 +22,8 @@ if __name__ == "__main__":
         main = import_module(sys.argv.pop(1)).main
     else:
         main = import_module("authguard_r.cli").main
-        import_module("authguard_r.cli.app").program(sys.argv[1])
+        command = import_module("authguard_r.cli.app").program(sys.argv[1])
+        for word in sys.argv[1:]:
+            command = getattr(command, "commands", {}).get(word)
     coverage.process_startup()
     sys.exit(main())

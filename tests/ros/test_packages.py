@@ -249,7 +249,7 @@ def test_the_gates_node_in_its_enclave_is_no_plain_one_either(
     ros_map = EXAMPLE / "map.yaml"
     for variable, value in secured(tmp_path, ros_map).items():
         monkeypatch.setenv(variable, value)
-    words = ["--map", ros_map, "--run", gate.run, "--site", gate.site, "--trust", gate.trust]
+    words = ["--map", ros_map, "--gate", gate.run, "--site", gate.site, "--trust", gate.trust]
     words += ["--binding", gate.binding]
     code, out, err = said(*installed(built, "gate_node"), *words)
     assert (code, "ready" in out) == (1, False)
@@ -334,7 +334,7 @@ def start_of(name: str) -> list[str]:
 def test_what_the_gates_unit_starts_is_a_node_that_serves(fresh: Graph, tmp_path: Path) -> None:
     python, *words = start_of("gate")
     assert python == "/opt/authguard-ros/bin/python"
-    assert words[2::2] == ["--map", "--run", "--site", "--binding", "--trust"]
+    assert words[2::2] == ["--map", "--gate", "--site", "--binding", "--trust"]
     Courier(fresh)
     fresh.start(example_map(tmp_path), [sys.executable, *words[:2]])
 

@@ -131,7 +131,7 @@ def test_users_are_apart_and_the_planners_runs_nothing_of_ours() -> None:
     for name in ("robot", "estimator"):
         assert unit(name)["Group"] == ["authguard-body"]
         # the gate's folder is nobody else's to write
-        assert "--run /run/authguard-body/%i" in unit(name)["ExecStart"][0]
+        assert "--gate /run/authguard-body/%i" in unit(name)["ExecStart"][0]
 
 
 def test_a_witness_is_nobody_of_the_robots_and_answers_this_machine_alone() -> None:
@@ -204,7 +204,7 @@ def test_the_robots_own_process_can_serve_its_sensors_where_the_estimator_looks(
     """The gate's run folder is the gate's to write: this one is the sensors' group's."""
     found = ros_unit("estimator")
     words = shlex.split(found["ExecStart"][0])
-    folder = words[words.index("--run") + 1]
+    folder = words[words.index("--gate") + 1]
     made, linked = (shlex.split(line.removeprefix("+")) for line in found["ExecStartPre"])
     assert made[1:] == ["-d", "-o", found["User"][0], "-g", "authguard-body", "-m", "2770", folder]
     assert linked[1:] == ["-sfn", "/run/authguard-r/%i/gate.sock", f"{folder}/gate.sock"]

@@ -150,7 +150,7 @@ def serve(address: str) -> None:
     """Run each command that comes in through the door, in a fork, with the caller's files."""
     from authguard_r.cli import call as authguard
 
-    import_module("authguard_r.cli.app").program()
+    options_of(program(), "authguard")  # imports every command
     import_module("authguard_r.authoring.compile.units").to_integer("1 m/s", "mm/s", where="warm")
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)
     door = socket.socket(socket.AF_UNIX)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The gate's node, the dead-man beside it, and a relay or an estimator where one is asked for.
 
-ros2 launch authguard_ros guarded.launch.py map:=... run:=... site:=... binding:=... trust:=...
+ros2 launch authguard_ros guarded.launch.py map:=... gate:=... site:=... binding:=... trust:=...
 
 The gate's process is not started here: it is no process of ROS, and has a user of its own. All that
 is started here has the user and the variables of who launches; a robot has the units of
@@ -26,13 +26,13 @@ AGAIN_S = 1.0
 NODE_S, DEADMAN_S = "3", "10"
 REQUIRED = {
     "map": "the robot's map",
-    "run": "the run folder of the gate's process",
+    "gate": "the run folder of the gate's process",
     "site": "the signed site",
     "binding": "the gate's own binding: a file, or a shipped name",
     "trust": "the trust folder",
 }
 #: Of them, what the estimator needs too.
-ATTESTS = ("map", "run", "site", "trust")
+ATTESTS = ("map", "gate", "site", "trust")
 OPTIONAL = {
     "demo": ("false", "`true` on a bench where nothing can be hurt: no DDS security"),
     "stream": ("", "a stream of the map that is relayed to the base; nothing: no relay"),

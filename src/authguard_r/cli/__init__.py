@@ -11,9 +11,9 @@ import sys
 import typer
 from typer.exceptions import TyperException
 
-from authguard_r.cli.app import program
-from authguard_r.cli.out import emit_clarification
+from authguard_r.cli.app import AUTHGUARD, program
 from authguard_r.core.errors import ClarificationError
+from authguard_r.operations.command_tree import with_new_names
 from authguard_r.operations.usage import message_of, place_of
 from authguard_r.wire.output import answered, emit_error
 
@@ -26,8 +26,11 @@ def main(arguments: list[str] | None = None) -> None:
 def call(arguments: list[str]) -> int:
     """Run one command and return its exit code; print an error instead of raising it."""
     as_json = "--json" in arguments
+    arguments, hints = with_new_names(AUTHGUARD, arguments)
 
     def run() -> int:
+        for hint in hints:
+            sys.stderr.write(f"{hint}\n")
         try:
             made = program(arguments[0] if arguments else "")
             result = made(args=arguments, prog_name="authguard", standalone_mode=False)
@@ -38,6 +41,8 @@ def call(arguments: list[str]) -> int:
         except TyperException as error:
             return emit_error("USAGE", message_of(error), place_of(error), as_json=as_json, code=2)
         except ClarificationError as error:
+            from authguard_r.cli.out import emit_clarification
+
             return emit_clarification(error, as_json=as_json)
         return result if isinstance(result, int) else 0
 

@@ -19,7 +19,7 @@ from authguard_r.authoring.compile.request import action_line, brief, card
 from authguard_r.cli.ask import confirm_shown
 from authguard_r.cli.gateway import GateOption, ProofOption, ReadingRole, RoleOption, connected
 from authguard_r.cli.inputs import JsonFlag, load_site
-from authguard_r.cli.signing_key import PassphraseFile, open_signer
+from authguard_r.cli.signing_key import CertOption, KeyOption, PassphraseFile, open_signer
 from authguard_r.cli.watch import ENDED, event_line
 from authguard_r.client import GateClient
 from authguard_r.client.approvals import ShownRequest, shown
@@ -30,20 +30,14 @@ from authguard_r.site.model import Site
 from authguard_r.wire.approval_request import Question
 from authguard_r.wire.output import emit, printed
 
-app = typer.Typer(
-    help="Open approval requests: see them, answer them, watch them.", no_args_is_help=True
-)
-
 CounterArgument = Annotated[int, typer.Argument(help="The request's number.", min=1)]
-KeyChoice = Annotated[Path, typer.Option("--key", help="The approver's key.")]
-CertChoice = Annotated[Path, typer.Option("--cert", help="The key's certificate chain.")]
 SiteChoice = Annotated[
-    Path | None, typer.Option("--site", help="The site model, for units and marks.")
+    Path | None,
+    typer.Option("--site", envvar="AUTHGUARD_SITE", help="The site model, for units and marks."),
 ]
-YesFlag = Annotated[bool, typer.Option("--yes", help="Do not ask; for scripts.")]
+YesFlag = Annotated[bool, typer.Option("--yes", help="Do not ask (for scripts).")]
 
 
-@app.command("list")
 def list_command(
     gate: GateOption = None,
     role: RoleOption = ReadingRole.OPERATOR,
@@ -51,7 +45,7 @@ def list_command(
     site: SiteChoice = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """List the open requests of the robot's active mission; exit 3 while there are any."""
+    """List the open requests of the active mission; exit 3 while a request is open."""
     model = None if site is None else load_site(site)
     with connected(gate, role, trust) as client:
         questions = client.approvals()
@@ -61,7 +55,6 @@ def list_command(
     return 3 if questions else 0
 
 
-@app.command("show")
 def show_command(
     counter: CounterArgument,
     gate: GateOption = None,
@@ -70,7 +63,7 @@ def show_command(
     site: SiteChoice = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show one request whole, from the very bytes that an answer binds."""
+    """Show one request in full, decoded from the bytes that an answer signs."""
     model = None if site is None else load_site(site)
     with connected(gate, role, trust) as client:
         question = client.approval(counter)
@@ -79,11 +72,10 @@ def show_command(
     return 0
 
 
-@app.command("approve")
 def approve_command(
     counter: CounterArgument,
-    key: KeyChoice,
-    cert: CertChoice,
+    key: KeyOption,
+    cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     gate: GateOption = None,
     trust: ProofOption = None,
@@ -91,7 +83,7 @@ def approve_command(
     yes: YesFlag = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show a request, ask, sign an approval and hand it in; exit 1 when it does not count."""
+    """Show a request, ask, sign an approval and send it; exit 1 when it does not count."""
     return _answer(
         counter,
         ApprovalVerdict.APPROVE,
@@ -105,14 +97,13 @@ def approve_command(
     )
 
 
-@app.command("deny")
 def deny_command(
     counter: CounterArgument,
-    key: KeyChoice,
-    cert: CertChoice,
+    key: KeyOption,
     reason: Annotated[
-        str, typer.Option("--reason", help="Why; for the log alone, no planner hears of it.")
+        str, typer.Option("--reason", help="Why, for the log; planners do not see it.")
     ],
+    cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     gate: GateOption = None,
     trust: ProofOption = None,
@@ -120,7 +111,7 @@ def deny_command(
     yes: YesFlag = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show a request, ask, sign a denial and hand it in; it outweighs every approval."""
+    """Show a request, ask, sign a denial and send it; a denial outweighs every approval."""
     if not reason.strip():
         raise typer.BadParameter("say why", param_hint="--reason")
     return _answer(
@@ -136,20 +127,19 @@ def deny_command(
     )
 
 
-@app.command("watch")
 def watch_command(
     gate: GateOption = None,
     role: RoleOption = ReadingRole.OPERATOR,
     trust: ProofOption = None,
-    jsonl: Annotated[bool, typer.Option("--jsonl", help="One event a line, as JSON.")] = False,
+    jsonl: Annotated[bool, typer.Option("--jsonl", help="One JSON object for each event.")] = False,
     count: Annotated[
-        int | None, typer.Option("--count", help="Leave after so many events.", min=1)
+        int | None, typer.Option("--count", help="End after this number of events.", min=1)
     ] = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show requests and answers as they come, until interrupted.
+    """Show requests and answers as they happen, until you interrupt it.
 
-    With --json all events come at the end, as one object.
+    With --json all events are printed at the end, as one object.
     """
     seen: list[dict[str, Any]] = []
     with suppress(KeyboardInterrupt), connected(gate, role, trust) as client:

@@ -16,7 +16,7 @@ from authguard_r.wire.output import printed
 T = TypeVar("T")
 AnswerOption = Annotated[
     list[str] | None,
-    typer.Option("--answer", help="field=value, to a question by its field; may be repeated."),
+    typer.Option("--answer", help="FIELD=VALUE answers a question; repeatable."),
 ]
 NoInputFlag = Annotated[
     bool, typer.Option("--no-input", help="Never ask at the terminal; exit 3 instead.")

@@ -8,9 +8,6 @@ from typing import Annotated
 
 import typer
 
-app = typer.Typer(
-    help="The audit log: verify, read, replay, explain and export it.", no_args_is_help=True
-)
 StoreArgument = Annotated[
-    Path, typer.Argument(metavar="FILE", help="A store, or a log that was exported as JSON Lines.")
+    Path, typer.Argument(metavar="FILE", help="A store, or an exported log (JSON Lines).")
 ]

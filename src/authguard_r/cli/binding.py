@@ -27,17 +27,17 @@ from authguard_r.site.source import convert, read_text, read_yaml
 from authguard_r.site.words import standard_words
 from authguard_r.wire.output import emit
 
-app = typer.Typer(help="Bindings: what each field of each tool means.", no_args_is_help=True)
-BindingArgument = Annotated[str, typer.Argument(help="A shipped binding's name, or a file.")]
+BindingArgument = Annotated[
+    str, typer.Argument(help="Name of a binding of this package, or a file.")
+]
 SiteChoice = Annotated[
-    Path | None, typer.Option("--site", help="The site model; without it, the standard words.")
+    Path | None, typer.Option("--site", help="The site model (default: the standard vocabulary).")
 ]
 _ROS_FILES = ("*.action", "*.msg", "*.srv")
 _UNSHOWN = "no interface given: nothing shows that every field is bound"
 
 
-@app.command("check")
-def check(
+def check_command(
     binding: BindingArgument,
     site: SiteChoice = None,
     interface: Annotated[
@@ -50,11 +50,11 @@ def check(
     ] = None,
     strict: Annotated[
         bool,
-        typer.Option("--strict", help="Exit 1 for a way without an interface to compare."),
+        typer.Option("--strict", help="Exit 1 when a tool has no interface to compare."),
     ] = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Prove that every field of every tool is bound, held and dispatched as authorized."""
+    """Check that every field of every tool is bound, checked, and sent as authorized."""
     found = _read(binding)
     report = check_binding(found, _site(found, site), interface=compared_with(binding, interface))
     payload = {**msgspec.to_builtins(report), "digest": binding_digest(found)}
@@ -64,9 +64,8 @@ def check(
     return 1 if strict and (report.interface is None or report.uncompared) else 0
 
 
-@app.command("list")
 def list_command(as_json: JsonFlag = False) -> int:
-    """Name the bindings that come with the package."""
+    """List the bindings that are part of this package."""
     rows: list[dict[str, Any]] = []
     for name in shipped_names():
         found = _read(name)
@@ -76,9 +75,10 @@ def list_command(as_json: JsonFlag = False) -> int:
     return 0
 
 
-@app.command("show")
-def show(binding: BindingArgument, site: SiteChoice = None, as_json: JsonFlag = False) -> int:
-    """Show each way of a binding: what it means, and a call that means it."""
+def show_command(
+    binding: BindingArgument, site: SiteChoice = None, as_json: JsonFlag = False
+) -> int:
+    """Show each tool of a binding: what it means, and a sample call."""
     found = _read(binding)
     model = _site(found, site)
     require_sound(found, model)

@@ -74,18 +74,20 @@ def decide_command(
     trust: TrustOption,
     site: SiteOption,
     state: Annotated[
-        Path | None, typer.Option("--state", help="A snapshot, signed or plain; `-` reads it.")
+        Path | None,
+        typer.Option("--state", help="A snapshot, signed or plain; `-`: standard input."),
     ] = None,
     action: Annotated[Path | None, typer.Option("--action", help="An action (JSON).")] = None,
     now: NowOption = None,
     store: Annotated[
-        Path | None, typer.Option("--store", help="Take standing from this store.")
+        Path | None, typer.Option("--store", help="Use the mission's standing in this store.")
     ] = None,
     context: Annotated[
         Path | None, typer.Option("--context", help="What the planner saw (JSON Lines).")
     ] = None,
     robot: Annotated[
-        str | None, typer.Option("--robot", help="Which gate of the folder is asked.")
+        str | None,
+        typer.Option("--robot", help="The robot, if the trust folder has several gates."),
     ] = None,
     risk_policy: RiskPolicyOption = None,
     weight: WeightOption = None,
@@ -97,7 +99,7 @@ def decide_command(
     ] = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Decide one action in one state, as if: nothing is used, recorded or moved."""
+    """Decide one action in one state as a dry run: nothing is consumed, recorded or moved."""
     at = wall_now(now)
     anchor = read_trust(trust)
     model = load_site(site, anchor, at)

@@ -52,13 +52,13 @@ class _Stage(Struct, frozen=True, kw_only=True):
     start_ms: int
 
 
-def demo(
+def demo_command(
     out: Annotated[
-        Path | None, typer.Option("--out", help="Keep keys, tokens and log here.")
+        Path | None, typer.Option("--out", help="Folder for keys, tokens and log.")
     ] = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Play the hospital story: sign, hijack by a notice, refusal, signed update, delivery."""
+    """Run the hospital story: sign, hijack by a notice, refusal, signed update, delivery."""
     stage = _set_up(out)
     simulation = _simulation(stage)
     try:

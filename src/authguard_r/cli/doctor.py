@@ -67,17 +67,17 @@ class _Lying:
 
 _FolderArgument = Annotated[
     Path | None,
-    typer.Argument(help="A folder as `init` fills it: its parts, where no option names one."),
+    typer.Argument(help="A folder with the file names of `init`."),
 ]
-_TrustOption = Annotated[Path | None, typer.Option("--trust", help="A trust folder to look at.")]
-_StoreOption = Annotated[Path | None, typer.Option("--store", help="A store to look at.")]
+_TrustOption = Annotated[Path | None, typer.Option("--trust", help="The trust folder.")]
+_StoreOption = Annotated[Path | None, typer.Option("--store", help="The store.")]
 _SiteOption = Annotated[Path | None, typer.Option("--site", help="The site model.")]
 _BindingOption = Annotated[
     Path | None, typer.Option("--binding", help="The planner's tools; needs --site.")
 ]
 _InterfaceOption = Annotated[
     list[str] | None,
-    typer.Option("--interface", help="What the tools say of themselves; may be repeated."),
+    typer.Option("--interface", help="Interface of the tools; repeatable."),
 ]
 _ConfigOption = Annotated[
     Path | None, typer.Option("--config", help="The gate's configuration; needs --trust.")
@@ -92,16 +92,14 @@ _EmergencyOption = Annotated[
         "--emergency-policy", help="The signed emergency policy; needs --trust and --site."
     ),
 ]
-_KeyOption = Annotated[
-    Path | None, typer.Option("--key", help="A private key, the gate's or one's own.")
-]
+_KeyOption = Annotated[Path | None, typer.Option("--key", help="A private key.")]
 _CertOption = Annotated[Path | None, typer.Option("--cert", help="The key's certificates.")]
-_RunOption = Annotated[Path | None, typer.Option("--run", help="The folder of the gate's sockets.")]
+_RunOption = Annotated[Path | None, typer.Option("--gate", help="The gate's run folder.")]
 _CounterOption = Annotated[
-    Path | None, typer.Option("--counter", help="The outside counter's file.")
+    Path | None, typer.Option("--counter", help="File of the outside counter.")
 ]
 _UserOption = Annotated[
-    str | None, typer.Option("--user", help="Who runs the gate (default: you).")
+    str | None, typer.Option("--user", help="User that runs the gate (default: you).")
 ]
 _RosMapOption = Annotated[Path | None, typer.Option("--ros", help="The map of a robot on ROS 2.")]
 _KeystoreOption = Annotated[
@@ -109,11 +107,11 @@ _KeystoreOption = Annotated[
 ]
 _EnclaveOption = Annotated[
     str | None,
-    typer.Option("--enclave", help="Whose process this shell would start; needs --ros."),
+    typer.Option("--enclave", help="Enclave to check for this shell; needs --ros."),
 ]
 
 
-def doctor(
+def doctor_command(
     folder: _FolderArgument = None,
     trust: _TrustOption = None,
     store: _StoreOption = None,
@@ -133,7 +131,7 @@ def doctor(
     enclave: _EnclaveOption = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Name every unsafe or missing part of this set-up, and how to mend it."""
+    """Find every unsafe or missing part of a set-up, and print how to fix it."""
     lies = _Lying(folder)
     trust, site, binding = lies.at(trust, "trust"), lies.at(site, "site.yaml"), lies.tools(binding)
     config, store = lies.at(config, "gate.token"), lies.at(store, "robot.db")

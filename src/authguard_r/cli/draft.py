@@ -47,8 +47,10 @@ class ProposerName(StrEnum):
 def draft_command(
     sentence: Annotated[str, typer.Argument(help="What the robot should do.")],
     site: SiteOption,
-    robot: Annotated[str | None, typer.Option("--robot", help="Which robot is meant.")] = None,
-    issuer: Annotated[str | None, typer.Option("--issuer", help="Who will sign.")] = None,
+    robot: Annotated[str | None, typer.Option("--robot", help="The robot.")] = None,
+    issuer: Annotated[
+        str | None, typer.Option("--issuer", help="Who will sign the mission.")
+    ] = None,
     answer: AnswerOption = None,
     proposer: Annotated[
         ProposerName, typer.Option("--proposer", help="The grammar, or a language model.")
@@ -58,14 +60,14 @@ def draft_command(
     api_key_env: ApiKeyEnvOption = None,
     timeout: TimeoutOption = TIMEOUT_S,
     profile: Annotated[
-        Path | None, typer.Option("--profile", help="Defaults of your own (YAML).")
+        Path | None, typer.Option("--profile", help="Your own defaults (YAML).")
     ] = None,
     now: NowOption = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Where to write the draft.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="File for the draft.")] = None,
     no_input: NoInputFlag = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Propose a draft for a sentence, or ask what only a person can say (exit 3)."""
+    """Draft a mission from a sentence, or print the questions that are open (exit 3)."""
     place = load_site(site)
     settled = _answers(answer or [])
     if issuer is not None:
@@ -76,13 +78,23 @@ def draft_command(
     else:
         chosen = _model(proposer, base_url, model, api_key_env, timeout)
     asks = may_ask(as_json=as_json, no_input=no_input)
+    typed: dict[str, DraftQuestion] = {}
     while True:
-        proposal = chosen.propose(sentence, place, robot=robot, settled=settled)
+        try:
+            proposal = chosen.propose(sentence, place, robot=robot, settled=settled)
+        except MalformedError as error:
+            wrong = [field for field in typed if error.where.startswith(field)]
+            if not wrong:
+                raise
+            _tell(f"{error.message} (at {error.where})")
+            settled |= {field: _prompt(typed[field]) for field in wrong}
+            continue
         if not proposal.questions:
             break
         again = any(question.field in settled for question in proposal.questions)
         if not asks or again:  # no answer settles what was answered and is asked again
             raise clarification(proposal.questions)
+        typed |= {question.field: question for question in proposal.questions}
         settled |= {question.field: _prompt(question) for question in proposal.questions}
     return _show(proposal, out, as_json=as_json)
 

@@ -17,10 +17,17 @@ from msgspec import Struct, to_builtins
 from authguard_r.authoring.compile.draft import Quantity
 from authguard_r.authoring.compile.units import to_integer
 from authguard_r.cli.gateway import GateOption, ProofOption, ReadingRole, connected
-from authguard_r.cli.inputs import JsonFlag, NowOption, SiteOption, load_site, wall_now
-from authguard_r.cli.orders import signer_of
+from authguard_r.cli.inputs import (
+    JsonFlag,
+    NowOption,
+    SiteOption,
+    TrustOption,
+    load_site,
+    require_robot,
+    wall_now,
+)
 from authguard_r.cli.signed_kinds import OutOption, SignedKind, YesOption, sign_kind
-from authguard_r.cli.signing_key import PassphraseFile
+from authguard_r.cli.signing_key import CertOption, OrderKeyOption, PassphraseFile, signer_of
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import (
@@ -53,12 +60,9 @@ from authguard_r.site.model import Site, profile_digest, site_digest
 from authguard_r.site.source import convert, read_text, read_yaml
 from authguard_r.wire.output import emit
 
-app = typer.Typer(help="What a robot may do in an emergency.", no_args_is_help=True)
-policy_app = typer.Typer(help="The signed policy.", no_args_is_help=True)
-app.add_typer(policy_app, name="policy")
 _SIGNER = "safety-officer-1"
 _DAY_MS = int(timedelta(days=1).total_seconds()) * 1_000
-FileArgument = Annotated[Path, typer.Argument(help="A policy as people write it (YAML).")]
+FileArgument = Annotated[Path, typer.Argument(help="A policy (YAML).")]
 
 
 class GuardForm(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -108,27 +112,23 @@ class EmergencyForm(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     capabilities: tuple[Ability, ...]
 
 
-@policy_app.command("make")
-def make(
+def make_command(
     site: SiteOption,
     robot: Annotated[str, typer.Option("--robot", help="The robot.")],
-    out: Annotated[Path, typer.Option("--out", help="Where to write it.")],
+    out: Annotated[Path, typer.Option("--out", help="File to write.")],
     as_json: JsonFlag = False,
 ) -> int:
-    """Write a policy to look through: a way to each emergency place, and a call for help."""
+    """Create a policy to edit and sign: a route to each emergency place, and a call for help."""
     model = load_site(site)
-    if robot not in model.robots:
-        raise typer.BadParameter(f"the site has no robot `{robot}`", param_hint="--robot")
-    text = "".join(_written(model, RobotId(robot)))
+    text = "".join(_written(model, require_robot(model, robot)))
     write_whole(out, text.encode("utf-8"))
     note = "decide on every guard, and on who may call, before you sign"
     emit({"file": str(out)}, [note, str(out)], as_json=as_json)
     return 0
 
 
-@policy_app.command("lint")
-def lint(file: FileArgument, site: SiteOption, as_json: JsonFlag = False) -> int:
-    """Say everything that a gate would refuse a policy for."""
+def check_command(file: FileArgument, site: SiteOption, as_json: JsonFlag = False) -> int:
+    """Check a policy and print everything that a gate would refuse."""
     model = load_site(site)
     found = lint_policy(_read(file, model, now_ms=wall_now(None).utc_ms), model)
     lines = [f"{unsound.where}: {unsound.message}" for unsound in found]
@@ -136,19 +136,18 @@ def lint(file: FileArgument, site: SiteOption, as_json: JsonFlag = False) -> int
     return 1 if found else 0
 
 
-@policy_app.command("sign")
-def sign(
+def sign_command(
     file: FileArgument,
     site: SiteOption,
-    trust: Annotated[Path, typer.Option("--trust", help="The trust folder.")],
-    key: Annotated[Path | None, typer.Option("--key", help="The safety officer's key.")] = None,
-    cert: Annotated[Path | None, typer.Option("--cert", help="Its certificates.")] = None,
+    trust: TrustOption,
+    key: OrderKeyOption = None,
+    cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     out: OutOption = None,
     yes: YesOption = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show what a robot may do without a mission, ask, and sign; an unsound one is refused."""
+    """Show what a robot may do without a mission, ask, and sign. An invalid policy is refused."""
     model = load_site(site, trust)
     signer = signer_of(_SIGNER, trust, key, cert, passphrase_file)
     policy = _read(file, model, now_ms=wall_now(None).utc_ms)
@@ -157,15 +156,14 @@ def sign(
     return sign_kind(_KIND, policy, file, signer, trust=trust, out=out, yes=yes, as_json=as_json)
 
 
-@policy_app.command("show")
-def show(
+def show_command(
     token: Annotated[Path, typer.Argument(help="A signed policy.")],
     trust: Annotated[Path | None, typer.Option("--trust", help="The trust folder.")] = None,
     site: Annotated[Path | None, typer.Option("--site", help="The site model.")] = None,
     now: NowOption = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show a policy; with --trust and --site, once everything that a gate asks of it holds."""
+    """Show a policy. With --trust and --site, a gate must accept it."""
     if (trust is None) is not (site is None):
         raise typer.BadParameter("--trust and --site go together", param_hint="--trust")
     policy = claimed_policy(read_file(token))
@@ -180,15 +178,17 @@ def show(
     return 0
 
 
-@app.command("call")
-def call(
+def call_command(
     capability: Annotated[str, typer.Argument(help="The capability's id.")],
     gate: GateOption = None,
     trust: ProofOption = None,
-    key: Annotated[str | None, typer.Option("--key", help="Names the call.")] = None,
+    key: Annotated[
+        str | None,
+        typer.Option("--call", help="Name of the call; a repeated name is the same call."),
+    ] = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Call a capability of the gate's emergency policy, as an operator; wait for its end."""
+    """Call a capability of the gate's emergency policy as an operator; wait until it ends."""
     name = convert(capability, Identifier, where="CAPABILITY")
     with connected(gate, ReadingRole.OPERATOR, trust) as client:
         told = client.emergency(name, key=key)

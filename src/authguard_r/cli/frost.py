@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`authguard frost`: each person's step of a threshold signature, on that person's own machine.
+"""`authguard advanced frost`: each person's step of a threshold signature, on the own machine.
 
 Only files move between the machines. The steps need the extra `frost`; without it they say so.
 """
@@ -18,44 +18,41 @@ from authguard_r.cli.signing_key import PassphraseFile
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.reasons import Reason
 
-app = typer.Typer(help="Threshold signatures: t of n people approve as one.", no_args_is_help=True)
-dkg = typer.Typer(help="A group's key that nobody ever holds.", no_args_is_help=True)
-app.add_typer(dkg, name="dkg")
-
-GroupName = Annotated[str, typer.Option("--group", help="The principal that they sign as.")]
-ThresholdOption = Annotated[int, typer.Option("--threshold", help="How many sign together.", min=2)]
+GroupName = Annotated[str, typer.Option("--group", help="The name of the group.")]
+ThresholdOption = Annotated[
+    int, typer.Option("--threshold", help="Number of members that must sign.", min=2)
+]
 MembersOption = Annotated[
-    list[str], typer.Option("--member", help="A member, in order; repeat for each.")
+    list[str], typer.Option("--member", help="A member; repeat for each, in order.")
 ]
 GroupFile = Annotated[Path, typer.Option("--group", help="The group's public file.")]
 ShareFile = Annotated[Path, typer.Option("--share", help="Your own secret share.")]
 SecretFile = Annotated[Path, typer.Option("--secret", help="Your secret of `dkg offer`.")]
 OfferFiles = Annotated[
-    list[Path], typer.Option("--offer", help="A member's offer; repeat for each, yours too.")
+    list[Path], typer.Option("--offer", help="Offer of a member; repeat for each, yours too.")
 ]
 NoncesFolder = Annotated[
-    Path, typer.Option("--nonces", help="The folder of your unused nonces; on this machine only.")
+    Path, typer.Option("--nonces", help="Folder of your unused nonces; only on this machine.")
 ]
-BallotFile = Annotated[Path, typer.Option("--ballot", help="What is to be signed.")]
+BallotFile = Annotated[Path, typer.Option("--ballot", help="The ballot.")]
 CommitmentFiles = Annotated[
     list[Path],
-    typer.Option("--commitment", help="The commitment of one who signs; repeat for each."),
+    typer.Option("--commitment", help="Commitment of a signer; repeat for each."),
 ]
 StoreChoice = Annotated[
     Path | None,
     typer.Option("--store", help="A store that no gate has open; needs --trust and --site."),
 ]
-SiteChoice = Annotated[Path | None, typer.Option("--site", help="The site, with --store.")]
+SiteChoice = Annotated[Path | None, typer.Option("--site", help="The site model, with --store.")]
 TrustChoice = Annotated[
     Path | None,
-    typer.Option("--trust", help="The trust folder; a gate has to prove that it holds its key."),
+    typer.Option("--trust", help="The trust folder: a gate must prove its identity."),
 ]
-RobotChoice = Annotated[str | None, typer.Option("--robot", help="Which gate, with --store.")]
+RobotChoice = Annotated[str | None, typer.Option("--robot", help="The robot, with --store.")]
 OutFile = Annotated[Path, typer.Option("--out", help="The file to write; it must be new.")]
-OutFolder = Annotated[Path, typer.Option("--out", help="The folder to write into.")]
+OutFolder = Annotated[Path, typer.Option("--out", help="Folder for the files.")]
 
 
-@app.command("deal")
 def deal_command(
     group: GroupName,
     threshold: ThresholdOption,
@@ -63,14 +60,13 @@ def deal_command(
     out: OutFolder,
     as_json: JsonFlag = False,
 ) -> int:
-    """Make a group's key and each member's share; the dealer knows all of them (see `dkg`)."""
+    """Make a group's key and each member's share. The dealer knows all shares (see `dkg`)."""
     _require_extra()
     from authguard_r.cli import frost_keys
 
     return frost_keys.deal(group, threshold, tuple(member), out, as_json=as_json)
 
 
-@dkg.command("plan")
 def plan_command(
     group: GroupName,
     threshold: ThresholdOption,
@@ -78,18 +74,19 @@ def plan_command(
     out: OutFile,
     as_json: JsonFlag = False,
 ) -> int:
-    """List who makes a key together; every member gets this file."""
+    """List who makes a key together. Every member needs this file."""
     _require_extra()
     from authguard_r.cli import frost_keys
 
     return frost_keys.plan(group, threshold, tuple(member), out, as_json=as_json)
 
 
-@dkg.command("offer")
 def offer_command(
     plan: Annotated[Path, typer.Argument(help="The plan.")],
-    member: Annotated[str, typer.Option("--as", help="Which member you are.")],
-    secret: Annotated[Path, typer.Option("--secret", help="Where your secret goes; keep it.")],
+    member: Annotated[str, typer.Option("--as", help="Your own name.")],
+    secret: Annotated[
+        Path, typer.Option("--secret", help="File for your secret; store it safely.")
+    ],
     out: OutFile,
     as_json: JsonFlag = False,
 ) -> int:
@@ -100,7 +97,6 @@ def offer_command(
     return frost_keys.offer(plan, member, secret, out, as_json=as_json)
 
 
-@dkg.command("exchange")
 def exchange_command(
     secret: SecretFile, offer: OfferFiles, out: OutFolder, as_json: JsonFlag = False
 ) -> int:
@@ -111,55 +107,51 @@ def exchange_command(
     return frost_keys.exchange(secret, tuple(offer), out, as_json=as_json)
 
 
-@dkg.command("finish")
 def finish_command(
     secret: SecretFile,
     offer: OfferFiles,
     contribution: Annotated[
-        list[Path], typer.Option("--from", help="A contribution made for you; repeat for each.")
+        list[Path],
+        typer.Option("--contribution", help="Each contribution made for you; repeatable."),
     ],
     out: OutFolder,
     as_json: JsonFlag = False,
 ) -> int:
-    """Check what the others gave, write your share and the group; destroys the secret."""
+    """Check the contributions of the others, write your share and the group; destroy the secret."""
     _require_extra()
     from authguard_r.cli import frost_keys
 
     return frost_keys.finish(secret, tuple(offer), tuple(contribution), out, as_json=as_json)
 
 
-@app.command("protect")
 def protect_command(
     share: Annotated[Path, typer.Argument(help="Your own secret share.")],
     passphrase_file: PassphraseFile = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Seal your share with a passphrase, in its place."""
+    """Encrypt your share with a passphrase, in its place."""
     _require_extra()
     from authguard_r.cli import frost_keys
 
     return frost_keys.protect(share, passphrase_file, as_json=as_json)
 
 
-@app.command("certify")
 def certify_command(
     trust: TrustOption,
     group: GroupFile,
     role: Annotated[str, typer.Option("--role", help="supervisor or safety_officer.")],
-    robot: Annotated[
-        list[str] | None, typer.Option("--robot", help="A robot it may approve for; repeatable.")
-    ] = None,
+    robot: Annotated[list[str] | None, typer.Option("--robot", help="A robot; repeatable.")] = None,
     region: Annotated[
-        list[str] | None, typer.Option("--region", help="A region it may approve in; repeatable.")
+        list[str] | None, typer.Option("--region", help="A region; repeatable.")
     ] = None,
     every_robot: Annotated[bool, typer.Option("--every-robot", help="All robots.")] = False,
     every_region: Annotated[bool, typer.Option("--every-region", help="All regions.")] = False,
-    days: Annotated[int, typer.Option("--days", help="How long it is valid.", min=1)] = 365,
+    days: Annotated[int, typer.Option("--days", help="Days of validity.", min=1)] = 365,
     passphrase_file: PassphraseFile = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask; for scripts.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask (for scripts).")] = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show, ask, and issue the group's certificate; the folder holds the people authority's key."""
+    """Show, ask, and issue the group's certificate. It needs the people authority's key."""
     if every_robot == bool(robot) or every_region == bool(region):
         raise typer.BadParameter(
             "name robots or --every-robot, and regions or --every-region", param_hint="--robot"
@@ -182,11 +174,10 @@ def certify_command(
     )
 
 
-@app.command("ballot")
 def ballot_command(
     counter: Annotated[int, typer.Argument(help="The request's number.", min=1)],
     out: OutFile,
-    deny: Annotated[bool, typer.Option("--deny", help="The answer is no.")] = False,
+    deny: Annotated[bool, typer.Option("--deny", help="Deny the request.")] = False,
     gate: GateOption = None,
     trust: TrustChoice = None,
     site: SiteChoice = None,
@@ -194,7 +185,7 @@ def ballot_command(
     robot: RobotChoice = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Write what a group is asked to sign: the answer to an open request."""
+    """Write what the group signs: the answer to an open request."""
     _require_extra()
     from authguard_r.cli import frost_signing
 
@@ -202,7 +193,6 @@ def ballot_command(
     return frost_signing.ballot(counter, place, out, deny=deny, as_json=as_json)
 
 
-@app.command("commit")
 def commit_command(
     share: ShareFile,
     nonces: NoncesFolder,
@@ -210,7 +200,7 @@ def commit_command(
     passphrase_file: PassphraseFile = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Round 1: make two nonces that are used once, and say what they commit to."""
+    """Round 1: make two nonces for one signature, and write the commitment to them."""
     _require_extra()
     from authguard_r.cli import frost_signing
 
@@ -219,7 +209,6 @@ def commit_command(
     )
 
 
-@app.command("share")
 def share_command(
     share: ShareFile,
     nonces: NoncesFolder,
@@ -227,10 +216,10 @@ def share_command(
     commitment: CommitmentFiles,
     out: OutFile,
     passphrase_file: PassphraseFile = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask; for scripts.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask (for scripts).")] = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Round 2: show what is signed, ask, and give your part of the signature."""
+    """Round 2: show what is signed, ask, and write your part of the signature."""
     _require_extra()
     from authguard_r.cli import frost_signing
 
@@ -246,23 +235,22 @@ def share_command(
     )
 
 
-@app.command("aggregate")
 def aggregate_command(
     group: GroupFile,
     cert: Annotated[Path, typer.Option("--cert", help="The group's certificate chain.")],
     ballot: BallotFile,
     commitment: CommitmentFiles,
     part: Annotated[
-        list[Path], typer.Option("--part", help="A signer's part (`share`); repeat for each.")
+        list[Path], typer.Option("--part", help="Part of a signer (`share`); repeat for each.")
     ],
     out: OutFile,
     trust: Annotated[
         Path | None,
-        typer.Option("--trust", help="The trust folder (default: the one that --cert lies in)."),
+        typer.Option("--trust", help="The trust folder (default: the folder of --cert)."),
     ] = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Make the approval token of the parts, or name whose part does not hold."""
+    """Make the approval token from the parts, or name the signer of an invalid part."""
     _require_extra()
     from authguard_r.cli import frost_signing
 
@@ -271,10 +259,11 @@ def aggregate_command(
     )
 
 
-@app.command("submit")
 def submit_command(
     token: Annotated[Path, typer.Argument(help="An approval token.")],
-    why: Annotated[str, typer.Option("--why", help="For the log; no planner hears of it.")] = "",
+    why: Annotated[
+        str, typer.Option("--reason", help="A text for the log; planners do not see it.")
+    ] = "",
     gate: GateOption = None,
     trust: TrustChoice = None,
     site: SiteChoice = None,
@@ -282,7 +271,7 @@ def submit_command(
     robot: RobotChoice = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Hand the token in, to a gate or its store; exit 1 when it does not count."""
+    """Send the token to a gate or its store; exit 1 when it does not count."""
     _require_extra()
     from authguard_r.cli import frost_signing
 
@@ -290,13 +279,12 @@ def submit_command(
     return frost_signing.submit(token, place, why=why, as_json=as_json)
 
 
-@app.command("inspect")
-def inspect_command(
-    file: Annotated[Path, typer.Argument(help="Any file of `authguard frost`.")],
+def show_command(
+    file: Annotated[Path, typer.Argument(help="Any file of `authguard advanced frost`.")],
     passphrase_file: PassphraseFile = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Say what a file is and whether it holds; secrets are not shown."""
+    """Show what a file is and whether it is valid, without its secrets."""
     _require_extra()
     from authguard_r.cli import frost_signing
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The files of `authguard frost` as the commands read, write and show them."""
+"""The files of `authguard advanced frost` as the commands read, write and show them."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def opened(path: Path, passphrase_file: Path | None = None) -> bytes:
     said = passphrase_of(passphrase_file)
     if said is None:
         raise EnvironmentFault(
-            "the share is sealed, and nobody is there to say its passphrase: --passphrase-file",
+            "the share is encrypted: name the file with its passphrase, --passphrase-file",
             reason=Reason.KEY_INVALID,
             where=str(path),
         )

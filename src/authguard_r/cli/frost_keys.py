@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The steps of `authguard frost` that make a group: by a dealer or without, and its certificate."""
+"""The steps of `authguard advanced frost` that make a group and its certificate."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The steps of `authguard frost` that make a signature: ask, commit, sign, put together, look."""
+"""The steps of `authguard advanced frost` that make a signature, and the look at a file."""
 
 from __future__ import annotations
 

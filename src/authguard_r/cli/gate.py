@@ -19,6 +19,7 @@ from authguard_r.cli.inputs import (
     SiteOption,
     TrustOption,
     gate_robot,
+    require_robot,
 )
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.reasons import Reason
@@ -30,10 +31,12 @@ from authguard_r.server.files import GateFiles, ask, open_parts, parts_digest, s
 _ConfigOption = Annotated[
     Path, typer.Option("--config", help="The signed gate configuration (`gate-config`).")
 ]
-_StoreOption = Annotated[Path, typer.Option("--store", help="The robot's store; made if absent.")]
-_RunOption = Annotated[Path, typer.Option("--run", help="The run folder, for the sockets.")]
+_StoreOption = Annotated[
+    Path, typer.Option("--store", help="The robot's store; created if it does not exist.")
+]
+_RunOption = Annotated[Path, typer.Option("--gate", help="The run folder, for the sockets.")]
 _KeyOption = Annotated[
-    Path | None, typer.Option("--key", help="The gate's key (default: the demo folder's).")
+    Path | None, typer.Option("--key", help="The gate's key (default: the demonstration's).")
 ]
 _CertOption = Annotated[Path | None, typer.Option("--cert", help="The gate's certificates.")]
 _SafetyOption = Annotated[
@@ -45,19 +48,19 @@ _EmergencyOption = Annotated[
 ]
 _EmergencyJournalOption = Annotated[
     Path | None,
-    typer.Option("--emergency-journal", help="Its journal (default: beside the store)."),
+    typer.Option("--emergency-journal", help="Journal of emergencies (default: beside the store)."),
 ]
 _CounterOption = Annotated[
     Path | None,
-    typer.Option("--counter", help="The outside counter's file, on another mount."),
+    typer.Option("--counter", help="File of the outside counter, on another mount."),
 ]
-_RobotOption = Annotated[str | None, typer.Option("--robot", help="Which robot's gate.")]
+_RobotOption = Annotated[str | None, typer.Option("--robot", help="The robot.")]
 _DemoOption = Annotated[
-    bool, typer.Option("--demo", help="Take a root that says `demo`; never on a real robot.")
+    bool, typer.Option("--demo", help="Accept a demonstration root; never on a real robot.")
 ]
 _SimulateOption = Annotated[
     bool,
-    typer.Option("--simulate", help="With --demo: a symbolic robot inside, in its own time."),
+    typer.Option("--simulate", help="With --demo: simulate the robot in this process."),
 ]
 
 
@@ -80,9 +83,9 @@ def gate_command(
     simulate: _SimulateOption = False,
     as_json: JsonFlag = False,
 ) -> NoReturn:
-    """Hold one robot's controller and store, and serve its clients until SIGTERM.
+    """Run the gate of one robot: its controller, its store and its clients, until SIGTERM.
 
-    Everything that reaches the robot goes through this process. `authguard status` shows it,
+    Every command to the robot goes through this process. `authguard status` shows its state, and
     `authguard stop` stops the robot even when this process hangs.
     """
     read_trust(trust)
@@ -120,8 +123,7 @@ def checked(files: GateFiles) -> GateFiles:
     """
     trust = read_trust(files.trust)
     now = start_time(files, trust)
-    if files.robot not in trusted_site(files.site, trust, now).robots:
-        raise typer.BadParameter(f"the site has no robot `{files.robot}`", param_hint="--robot")
+    require_robot(trusted_site(files.site, trust, now), files.robot)
     if files.simulate and not (files.demo and trust.demo):
         raise typer.BadParameter(
             "only with --demo and a root that says `demo`", param_hint="--simulate"
@@ -171,7 +173,7 @@ def _make_run(run: Path) -> None:
         raise EnvironmentFault(
             f"expected a folder for sockets, got `{run}`",
             reason=Reason.STORE_UNAVAILABLE,
-            where="--run",
+            where="--gate",
         )
     run.mkdir(parents=True, exist_ok=True, mode=0o750)
 

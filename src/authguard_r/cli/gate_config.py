@@ -40,7 +40,6 @@ from authguard_r.cli.readers_form import (
     written_readers,
 )
 from authguard_r.cli.signed_kinds import (
-    CertOption,
     OutOption,
     SignedKind,
     TrustChoice,
@@ -48,7 +47,7 @@ from authguard_r.cli.signed_kinds import (
     show_kind,
     sign_kind,
 )
-from authguard_r.cli.signing_key import PassphraseFile, open_signer
+from authguard_r.cli.signing_key import CertOption, KeyOption, PassphraseFile, open_signer
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.core.identifiers import Positive, RobotId
@@ -66,7 +65,6 @@ from authguard_r.wire.disclosure import Disclosure
 from authguard_r.wire.messages import ClientRole, Mode
 from authguard_r.wire.output import emit
 
-app = typer.Typer(help="A gate's signed configuration: who may be what.", no_args_is_help=True)
 _SIGNER = "site-authority-1"
 _PLAIN = (
     "version",
@@ -89,7 +87,7 @@ _BOUNDS = (
     ("checkpoint", "checkpoint_ms", "ms"),
     ("witness_silence", "witness_ms", "ms"),
 )
-RobotOption = Annotated[str, typer.Option("--robot", help="The robot that the gate holds.")]
+RobotOption = Annotated[str, typer.Option("--robot", help="The robot of the gate.")]
 
 
 class GateConfigForm(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -147,12 +145,11 @@ class GateConfigForm(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     retention: tuple[RetentionForm, ...] = ()
 
 
-@app.command("make")
-def make(
+def make_command(
     robot: RobotOption,
-    out: Annotated[Path, typer.Option("--out", help="Where to write it.")],
+    out: Annotated[Path, typer.Option("--out", help="File to write.")],
     peer: Annotated[
-        list[str] | None, typer.Option("--peer", help="USER:role,role; may be repeated.")
+        list[str] | None, typer.Option("--peer", help="USER:ROLE,ROLE; repeatable.")
     ] = None,
     mediator: Annotated[
         list[str] | None,
@@ -162,20 +159,26 @@ def make(
             "drives; may be repeated.",
         ),
     ] = None,
-    mode: Annotated[Mode, typer.Option("--mode", help="`shadow` releases nothing.")] = Mode.ENFORCE,
+    mode: Annotated[
+        Mode,
+        typer.Option(
+            "--mode", help="In `shadow` the gate decides and records, and releases no action."
+        ),
+    ] = Mode.ENFORCE,
     reader: Annotated[
         list[str] | None,
         typer.Option(
-            "--reader", help="ROLE:class,class:KEY, who reads sealed fields; may be repeated."
+            "--reader", help="ROLE:CLASS,CLASS:KEY of a reader of sealed fields; repeatable."
         ),
     ] = None,
     demo: Annotated[
-        bool, typer.Option("--demo", help="You are everybody; signed at once. For trying out.")
+        bool,
+        typer.Option("--demo", help="You may use every role; signed at once. For demonstrations."),
     ] = False,
     trust: TrustChoice = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Write a configuration to look through and sign; with --demo, a signed one."""
+    """Create a configuration to edit and sign; with --demo, a signed one."""
     if demo == bool(peer or mediator):
         raise typer.BadParameter("name each user, or say --demo", param_hint="--peer")
     peers = every_user() if demo else peers_of(peer or [])
@@ -197,18 +200,20 @@ def make(
     return 0
 
 
-@app.command("sign")
-def sign(
+def sign_command(
     file: Annotated[Path, typer.Argument(help="A configuration as `make` wrote it (YAML).")],
-    key: Annotated[Path, typer.Option("--key", help="The site authority's key.")],
-    cert: CertOption,
+    key: KeyOption,
+    cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     out: OutOption = None,
     trust: TrustChoice = None,
     yes: YesOption = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show who may be what, ask, and sign. Run it where the gate runs: names are looked up here."""
+    """Show who may use which role, ask, and sign.
+
+    Run it on the gate's machine: user names are resolved here.
+    """
     where = str(file)
     form = convert(read_yaml(read_text(file), where=where), GateConfigForm, where=where)
     config, signer = read_form(form, where=where), open_signer(key, cert, passphrase_file)
@@ -217,14 +222,13 @@ def sign(
     return sign_kind(_KIND, config, file, signer, trust=trust, out=out, yes=yes, as_json=as_json)
 
 
-@app.command("show")
-def show(
+def show_command(
     token: Annotated[Path, typer.Argument(help="A signed configuration.")],
     trust: TrustChoice = None,
     now: NowOption = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show who may be what; with --trust, once the site authority's signature holds."""
+    """Show who may use which role. With --trust, the signature must be valid."""
     return show_kind(_KIND, token, trust=trust, now=now, as_json=as_json)
 
 

@@ -34,8 +34,8 @@ GateOption = Annotated[
     Path | None,
     typer.Option(
         "--gate",
-        help="A gate's run folder, or its socket (default: $AUTHGUARD_RUN, else the only one "
-        "below /run/authguard-r).",
+        envvar="AUTHGUARD_GATE",
+        help="A gate's run folder, or its socket (default: the only one below /run/authguard-r).",
     ),
 ]
 
@@ -48,11 +48,18 @@ class ReadingRole(StrEnum):
 
 
 RoleOption = Annotated[
-    ReadingRole, typer.Option("--role", help="What to be at the gate; it decides who may be what.")
+    ReadingRole,
+    typer.Option(
+        "--role", help="Role to connect as; the gate configuration lists who may use which role."
+    ),
 ]
 ProofOption = Annotated[
     Path | None,
-    typer.Option("--trust", help="A trust folder: the gate has to prove that it holds its key."),
+    typer.Option(
+        "--trust",
+        envvar="AUTHGUARD_TRUST",
+        help="A trust folder: the gate must prove its identity.",
+    ),
 ]
 #: How the command line is called in a gate's log.
 CLIENT = "cli"
@@ -135,16 +142,19 @@ def socket_in(run: Path | None, name: str) -> Path:
     """Return the socket of a run folder; a socket that is named itself stands for its folder.
 
     Args:
-        run: as the user named it; None takes the environment's, else the machine's only one.
+        run: as the user named it; None takes the machine's only one.
         name: `GATE_SOCKET` or `STOP_SOCKET`.
 
     Raises:
         EnvironmentFault: nothing was named, and the machine has no gate.
         typer.BadParameter: nothing was named, and the machine has several.
     """
-    named = os.environ.get("AUTHGUARD_RUN")
-    told = Path(named) if named else None
-    place = run or told or only_run(RUNS, name)
+    if run is None and (named := os.environ.get("AUTHGUARD_RUN")):
+        typer.echo(
+            "AUTHGUARD_RUN is now AUTHGUARD_GATE; the old name ends with the next version", err=True
+        )
+        run = Path(named)
+    place = run or only_run(RUNS, name)
     if not place.is_socket():
         return place / name
     return place.with_name(name) if place.name in {GATE_SOCKET, STOP_SOCKET} else place
@@ -172,7 +182,7 @@ def only_run(folder: Path, name: str) -> Path:
     shut = f", and this user may not look into `{closed[0]}`" if closed else ""
     raise EnvironmentFault(
         f"no gate answers: no folder below `{folder}` has a `{name}`{shut}; "
-        "name a run folder with --gate, or in AUTHGUARD_RUN",
+        "name a run folder with --gate, in AUTHGUARD_GATE, or in `authguard.toml`",
         reason=Reason.STORE_UNAVAILABLE,
         where="--gate",
     )

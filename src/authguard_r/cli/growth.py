@@ -29,10 +29,10 @@ class _GrowthRow(Struct):
 
 
 def growth_command(store: StoreArgument, as_json: JsonFlag = False) -> int:
-    """Say how much of the log each mission wrote: records, decisions, bytes; `-`: of no mission.
+    """Show how much of a log each mission wrote: records, decisions, bytes (`-`: no mission).
 
-    Bytes are the records, the values beside them and the links; what the file adds to them (a few
-    in a hundred) and the registry are not counted. Nothing is verified here.
+    Bytes are records, sealed values and links. The overhead of the file (a few percent) and the
+    registry are not counted. The command verifies nothing.
     """
     with reading(store) as log:
         found = _count(log.rows)

@@ -29,15 +29,13 @@ def init_command(
             "`-` reads it from standard input.",
         ),
     ],
-    source: Annotated[Source, typer.Option("--from", help="What kind of list it is.")],
+    source: Annotated[Source, typer.Option("--from", help="The kind of list.")],
     out: Annotated[Path, typer.Option("--out", help="A new or empty folder.")],
-    robot: Annotated[str, typer.Option("--robot", help="What the robot is called.")] = "robot-1",
-    keys: Annotated[
-        bool, typer.Option("--keys/--no-keys", help="Whether to make demonstration keys.")
-    ] = True,
+    robot: Annotated[str, typer.Option("--robot", help="The robot's id.")] = "robot-1",
+    keys: Annotated[bool, typer.Option("--keys/--no-keys", help="Make demonstration keys.")] = True,
     as_json: JsonFlag = False,
 ) -> int:
-    """Write a site, a binding and keys for a tool list; every call of every tool is refused."""
+    """Create a site, a binding and keys for a list of tools. The binding refuses every call."""
     if not is_identifier(robot):
         raise typer.BadParameter("expected an id of a-z, 0-9 and `_.:-`", param_hint="--robot")
     _require_empty(out)
@@ -117,7 +115,7 @@ def _trial(out: Path, parts: str, robot: str) -> list[str]:
     """Return the commands of a gate that judges and records, and releases nothing."""
     trust, config = f"--trust {out / 'trust'}", out / "gate.token"
     make = f"--demo --mode shadow --robot {robot} {trust} --out {config}"
-    serve = f"--config {config} --store {out / 'robot.db'} --run {out / 'run'}"
+    serve = f"--config {config} --store {out / 'robot.db'} --gate {out / 'run'}"
     return [
         f"  authguard gate-config make {make}",
         f"  authguard doctor {out}",

@@ -39,17 +39,21 @@ from authguard_r.site.source import (
 #: Most bytes of a context file: a day of captions, and no more than memory easily holds.
 MAX_CONTEXT = 1 << 24
 
-JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")]
+JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 SiteOption = Annotated[
-    Path, typer.Option("--site", help="The site model (YAML, or a signed token).")
+    Path,
+    typer.Option(
+        "--site", envvar="AUTHGUARD_SITE", help="The site model (YAML, or a signed token)."
+    ),
 ]
-TrustOption = Annotated[Path, typer.Option("--trust", help="The trust folder (`keys init`).")]
+TrustOption = Annotated[
+    Path,
+    typer.Option("--trust", envvar="AUTHGUARD_TRUST", help="The trust folder (`keys init`)."),
+]
 TokenOption = Annotated[Path, typer.Option("--token", help="A signed mission.")]
 BindingOption = Annotated[
     Path,
-    typer.Option(
-        "--binding", help="The planner's tools: YAML, or a shipped name (`binding list`)."
-    ),
+    typer.Option("--binding", help="The binding: a YAML file, or a name from `binding list`."),
 ]
 RiskPolicyOption = Annotated[
     Path | None,
@@ -57,14 +61,14 @@ RiskPolicyOption = Annotated[
 ]
 WeightOption = Annotated[
     list[str] | None,
-    typer.Option("--weight", help="A field's weight in D_M: FIELD=N; others weigh 1. Repeatable."),
+    typer.Option("--weight", help="FIELD=N: weight in D_M (default 1); repeatable."),
 ]
 RepairOption = Annotated[
     bool,
-    typer.Option("--repair", help="Decide the safety gate's repair of a refused step, once."),
+    typer.Option("--repair", help="Decide a repair by the safety gate, once for each step."),
 ]
 NowOption = Annotated[
-    str | None, typer.Option("--now", help="The instant to ask about, 2026-01-31T14:30:00Z.")
+    str | None, typer.Option("--now", help="Use this instant as now: 2026-01-31T14:30:00Z.")
 ]
 
 
@@ -115,6 +119,25 @@ def gate_facts(folder: Path, trust: Trust, site: Site, *, now: Now, robot: str |
     signer = folder_signer(folder, wanted[0])
     rid, profile = trust.gate_identity(signer.chain, now)
     return facts_of(site, rid=rid, profile=profile)
+
+
+def require_robot(site: Site, robot: str, *, where: str = "--robot") -> RobotId:
+    """Return the id of a robot of the site.
+
+    Args:
+        site: the site model.
+        robot: the name.
+        where: the option that the name comes from.
+
+    Raises:
+        typer.BadParameter: the site has no such robot; its robots are named.
+    """
+    if robot in site.robots:
+        return RobotId(robot)
+    known = ", ".join(f"`{name}`" for name in sorted(site.robots)) or "none"
+    raise typer.BadParameter(
+        f"site `{site.id}` has no robot `{robot}`; its robots: {known}", param_hint=where
+    )
 
 
 def gate_robot(folder: Path, robot: str | None) -> RobotId:

@@ -13,7 +13,13 @@ from authguard_r.authoring.compile.units import to_integer
 from authguard_r.cli.inputs import JsonFlag, NowOption, wall_now
 from authguard_r.cli.mission_files import mission_digest, warn
 from authguard_r.cli.sign import trust_folder_of
-from authguard_r.cli.signing_key import PassphraseFile, open_signer
+from authguard_r.cli.signing_key import (
+    CertOption,
+    KeyOption,
+    PassphraseFile,
+    certificate_of,
+    open_signer,
+)
 from authguard_r.cli.templates import SignedTemplate, read_template, template_digest
 from authguard_r.core.encoding import b64
 from authguard_r.core.errors import RefusedError
@@ -34,35 +40,33 @@ from authguard_r.keys.signer import FileSigner
 from authguard_r.keys.trust import read_trust
 from authguard_r.wire.output import emit
 
-app = typer.Typer(help="Instances of signed templates.", no_args_is_help=True)
 
-
-@app.command("sign")
 def sign_command(
     template: SignedTemplate,
-    key: Annotated[Path, typer.Option("--key", help="The scheduler's key.")],
-    cert: Annotated[Path, typer.Option("--cert", help="The key's certificate chain.")],
+    key: KeyOption,
+    cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     fill: Annotated[
-        list[str] | None, typer.Option("--fill", help="hole=value, one for every hole.")
+        list[str] | None, typer.Option("--fill", help="HOLE=VALUE; repeat for every hole.")
     ] = None,
     name: Annotated[
-        str | None, typer.Option("--name", help="The mission's name after `TEMPLATE.`.")
+        str | None, typer.Option("--name", help="Name of the mission; `TEMPLATE.` comes before it.")
     ] = None,
     lasts: Annotated[
-        str | None, typer.Option("--for", help="Its validity, `10 min` (default: the longest).")
+        str | None,
+        typer.Option("--for", help="How long it is valid: `10 min` (default: the longest)."),
     ] = None,
     now: NowOption = None,
     trust: Annotated[
         Path | None,
-        typer.Option("--trust", help="The trust folder (default: the one that --cert lies in)."),
+        typer.Option("--trust", help="The trust folder (default: the folder of --cert)."),
     ] = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Where to write the token.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="File for the token.")] = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Fill every hole with a value of its set, and sign; no question is asked."""
+    """Fill in every hole with one of its values, and sign, without a question."""
     opened, signer = read_template(template), open_signer(key, cert, passphrase_file)
-    _require_bound(opened, signer, trust_folder_of(trust, cert))
+    _require_bound(opened, signer, trust_folder_of(trust, certificate_of(key, cert)))
     at = wall_now(now)
     length = opened.for_ms if lasts is None else to_integer(lasts, "ms", where="--for")
     instance = Instance(

@@ -25,16 +25,16 @@ from authguard_r.authoring.keys.revoking import signing_here
 from authguard_r.authoring.keys.setup import AUTHORITIES, init_folder, read_key, write_revocations
 from authguard_r.cli.ask import confirm_shown
 from authguard_r.cli.inputs import JsonFlag, load_site, wall_now
-from authguard_r.cli.key_requests import (
+from authguard_r.cli.key_requests import card_of, wanted_json, wanted_of
+from authguard_r.cli.signing_key import (
     CERTIFICATE_END,
     KEY_END,
     REQUEST_END,
     KeyOption,
-    card_of,
-    wanted_json,
-    wanted_of,
+    PassphraseFile,
+    open_signer,
+    passphrase_of,
 )
-from authguard_r.cli.signing_key import PassphraseFile, open_signer, passphrase_of
 from authguard_r.core.errors import AuthenticityError, RefusedError
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.algorithms import Algorithm
@@ -45,8 +45,8 @@ from authguard_r.wire.output import emit
 
 #: Default number of days until the next update of a list.
 LIST_DAYS = 30
-DaysOption = Annotated[int, typer.Option("--days", min=1, max=3_650, help="How long it is valid.")]
-YesFlag = Annotated[bool, typer.Option("--yes", help="Do not ask: for scripts.")]
+DaysOption = Annotated[int, typer.Option("--days", min=1, max=3_650, help="Days of validity.")]
+YesFlag = Annotated[bool, typer.Option("--yes", help="Do not ask (for scripts).")]
 
 
 def init_authorities(
@@ -118,12 +118,12 @@ def issue_command(
     yes: YesFlag = False,
     more: Annotated[
         bool,
-        typer.Option("--wider", help="With --yes: also when the name asks for more than it has."),
+        typer.Option("--wider", help="With --yes: also allow more rights than before."),
     ] = False,
     passphrase_file: PassphraseFile = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """On the authority's machine: show what is asked for, confirm, write one answer file."""
+    """On the authority's machine: show what a request asks for, ask, and write the answer file."""
     opened, now = open_request(read_file(request)), datetime.now(UTC)
     require_grantable(folder, opened, now=now)
     beyond = wider(folder, opened, now=now)
@@ -150,9 +150,11 @@ def issue_command(
 def install_command(
     answer: Annotated[Path, typer.Argument(help="The authority's answer.")],
     key: KeyOption,
-    folder: Annotated[Path, typer.Option("--dir", help="The trust folder; made when absent.")],
+    folder: Annotated[
+        Path, typer.Option("--trust", help="The trust folder; created if it does not exist.")
+    ],
     root: Annotated[
-        str | None, typer.Option("--root", help="The root's fingerprint, as the authority says it.")
+        str | None, typer.Option("--root", help="Fingerprint of the root, from the authority.")
     ] = None,
     cert: Annotated[
         Path | None, typer.Option("--cert", help="The certificate (default: beside the key).")
@@ -163,7 +165,7 @@ def install_command(
     passphrase_file: PassphraseFile = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """On the member's machine: check the answer against key, request and root; write it."""
+    """On the member's machine: check the answer against key, request and root, and install it."""
     now = wall_now(None)
     opened = open_answer(read_file(answer), now)
     stem = key.name.removesuffix(KEY_END)

@@ -11,6 +11,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.signing_key import (
+    KeyOption,
     PassphraseFile,
     ask_new_passphrase,
     open_keys,
@@ -28,7 +29,7 @@ from authguard_r.wire.output import emit
 
 KeyFile = Annotated[Path, typer.Argument(metavar="KEYFILE", help="A file of private keys.")]
 KeyOut = Annotated[
-    Path | None, typer.Option("--out", help="Where to write it (default: in its place).")
+    Path | None, typer.Option("--out", help="File to write (default: in its place).")
 ]
 
 
@@ -38,7 +39,7 @@ def protect_command(
     out: KeyOut = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Seal a plain key file with a passphrase: for a person's key, which services do not use."""
+    """Encrypt a person's key file with a passphrase. Services cannot use such a file."""
     data = read_file(keyfile)
     if is_sealed(data):
         raise _refused("the key is sealed already", keyfile)
@@ -54,25 +55,25 @@ def unprotect_command(
     out: KeyOut = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Write a sealed key file as plain PEM; any reader of that file has the key."""
+    """Decrypt a key file to plain PEM. Anyone who can read that file has the key."""
     data = read_file(keyfile)
     if not is_sealed(data):
         raise _refused("the key is not sealed", keyfile)
     passphrase = passphrase_of(passphrase_file)
     if passphrase is None:
-        raise typer.BadParameter("nobody is there to ask", param_hint="--passphrase-file")
+        raise typer.BadParameter("no terminal to ask at", param_hint="--passphrase-file")
     plain = unseal(data, passphrase(str(keyfile)), where=str(keyfile))
     _write(keyfile, out, plain, say="plain", as_json=as_json)
     return 0
 
 
 def public_command(
-    key: Annotated[Path, typer.Option("--key", help="A key file, or a `pkcs11:` URI.")],
+    key: KeyOption,
     passphrase_file: PassphraseFile = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Where to write it.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="File to write.")] = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Write the public keys of a key, as PEM: what its certificates are made of."""
+    """Print the public keys of a private key as PEM."""
     keys = open_keys(key, passphrase_file)
     form = (Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
     text = b"".join(one.public_key().public_bytes(*form) for one in keys).decode("ascii")
@@ -89,7 +90,7 @@ def _new_passphrase(keyfile: Path, path: Path | None) -> str:
     if path is not None:
         return read_passphrase(path)
     if passphrase_of(None) is None:
-        raise typer.BadParameter("nobody is there to ask", param_hint="--passphrase-file")
+        raise typer.BadParameter("no terminal to ask at", param_hint="--passphrase-file")
     return ask_new_passphrase(str(keyfile))
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`authguard keys revoke`, `lists`, `show` and `authguard revocations`: who counts no more.
+"""`authguard keys revoke`, `lists`, `show` and `authguard advanced revocations`.
 
 How-to: docs/howto/keys.md
 """
@@ -41,7 +41,6 @@ from authguard_r.keys.trust import (
 from authguard_r.wire.messages import ClientRole
 from authguard_r.wire.output import emit, emit_error, exit_code
 
-app = typer.Typer(help="Revocation lists, where they count.", no_args_is_help=True)
 FolderArgument = Annotated[Path, typer.Argument(help="The authority's folder.")]
 ListDays = Annotated[
     int, typer.Option("--days", min=1, max=3_650, help="Days until the next update.")
@@ -52,22 +51,22 @@ _DAY_MS = 86_400_000
 def revoke_command(
     folder: FolderArgument,
     name: Annotated[
-        str | None, typer.Argument(help="A principal: everything that it has. Or an authority.")
+        str | None, typer.Argument(help="A principal, with all its certificates, or an authority.")
     ] = None,
     serial: Annotated[
         int | None, typer.Option("--serial", help="One certificate by its serial number.")
     ] = None,
     authority: Annotated[
         str | None,
-        typer.Option("--authority", help="With --serial: who gave it, when no file here says it."),
+        typer.Option("--authority", help="With --serial: the authority of the certificate."),
     ] = None,
     days: ListDays = LIST_DAYS,
     passphrase_file: PassphraseFile = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """On the authority's machine: sign the next list, with these certificates on it.
+    """On the authority's machine: sign the next revocation list with these certificates.
 
-    Exit 1 when a file that cannot be read may hold one more of the name's.
+    Exit 1 when a file cannot be read that may be a further certificate of the name.
     """
     if (name is None) is (serial is None):
         raise typer.BadParameter("name a principal, or a serial number", param_hint="NAME")
@@ -91,7 +90,7 @@ def lists_command(
     passphrase_file: PassphraseFile = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """On the authority's machine: sign every list anew before it goes stale."""
+    """On the authority's machine: sign every revocation list again before it expires."""
     said = passphrase_of(passphrase_file)
     lists = renew_lists(folder, now=datetime.now(UTC), days=days, passphrase=said)
     return _tell_lists(folder, lists, unread=(), as_json=as_json)
@@ -115,7 +114,7 @@ def _tell_lists(
         f"until {item['next_update']}"
         for item in told
     ]
-    lines += ["bring them to every machine: authguard revocations install"]
+    lines += ["bring them to every machine: authguard advanced revocations install"]
     lines += [
         f"CANNOT READ {path}: what it gave may still hold; "
         "`--serial` with `--authority` needs no file"
@@ -125,20 +124,20 @@ def _tell_lists(
     return 1 if unread else 0
 
 
-@app.command("install")
 def install_command(
     files: Annotated[list[Path], typer.Argument(help="Signed lists: `revocations/NAME.json`.")],
     gate: GateOption = None,
     trust: Annotated[
         Path | None,
-        typer.Option("--trust", help="A trust folder to put them in; alone, no gate is told."),
+        typer.Option("--trust", help="A trust folder to install into; without --gate, only there."),
     ] = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Bring newer lists to a gate that runs, and to a trust folder; they are signed, so may you.
+    """Install newer revocation lists at a running gate and in a trust folder.
 
-    Each list is brought to each place, also when another one fails; a list that a place has already
-    is no fault. What a place refuses is said at the end.
+    Each list goes to each place, also when another list fails. A list that a place already has is
+    no fault. Refused lists are printed at the end. The lists are signed: any user may install
+    them.
     """
     faults: list[_Fault] = []
     told: list[dict[str, Any]] = []
@@ -214,7 +213,7 @@ def show_command(
     folder: Annotated[Path, typer.Argument(help="A trust folder, or the authority's.")],
     as_json: JsonFlag = False,
 ) -> int:
-    """List who may sign what, for what and until when, what does not hold, how fresh lists are."""
+    """Show who may sign what, for which robots and until when, and the age of the lists."""
     trust, now = read_trust(folder), wall_now(None)
     paths = [*sorted(folder.glob("keys/*.cert.pem")), *sorted(folder.glob("issued/*.cert.pem"))]
     found: list[dict[str, Any]] = []

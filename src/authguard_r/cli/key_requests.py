@@ -22,8 +22,17 @@ from authguard_r.authoring.keys.request import (
     make_request,
     open_request,
 )
-from authguard_r.cli.inputs import JsonFlag, TrustOption, load_site, wall_now
-from authguard_r.cli.signing_key import PassphraseFile, open_keys, open_signer
+from authguard_r.cli.inputs import JsonFlag, TrustOption, load_site, require_robot, wall_now
+from authguard_r.cli.signing_key import (
+    KEY_END,
+    REQUEST_END,
+    CertOption,
+    KeyOption,
+    PassphraseFile,
+    certificate_of,
+    open_keys,
+    open_signer,
+)
 from authguard_r.cli.templates import read_template, template_digest
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.identifiers import Digest, PrincipalId, RegionId, RobotId, is_identifier
@@ -35,8 +44,6 @@ from authguard_r.keys.signer import FileSigner
 from authguard_r.keys.trust import ROOT_LISTS, pairs, read_certificates, read_trust
 from authguard_r.site.model import profile_digest
 from authguard_r.wire.output import emit
-
-KEY_END, CERTIFICATE_END, REQUEST_END = ".key.pem", ".cert.pem", ".request.json"
 
 
 class Choice(StrEnum):
@@ -53,7 +60,6 @@ AlgorithmOption = Annotated[
     Choice,
     typer.Option("--algorithm", help="`hybrid`: an Ed25519 and an ML-DSA-65 key, both sign."),
 ]
-KeyOption = Annotated[Path, typer.Option("--key", help="The private key.")]
 
 
 def chosen(choice: Choice) -> tuple[Algorithm, ...]:
@@ -64,43 +70,41 @@ def chosen(choice: Choice) -> tuple[Algorithm, ...]:
 
 
 def request_command(
-    role: Annotated[Role, typer.Option("--role", help="What the key shall sign.")],
-    principal: Annotated[str, typer.Option("--principal", help="Whose key it is.")],
+    role: Annotated[Role, typer.Option("--role", help="The role of the key.")],
+    principal: Annotated[str, typer.Option("--principal", help="Name of the principal.")],
     out: Annotated[Path, typer.Option("--out", help="The folder for key and request.")],
     robot: Annotated[
         list[str] | None,
-        typer.Option("--robot", help="For this robot; may be repeated. A gate has just one."),
+        typer.Option("--robot", help="A robot; repeatable. A gate has exactly one."),
     ] = None,
     every_robot: Annotated[
-        bool, typer.Option("--every-robot", help="For every robot, in the place of --robot.")
+        bool, typer.Option("--every-robot", help="Every robot, instead of --robot.")
     ] = False,
     region: Annotated[
         list[str] | None,
         typer.Option(
             "--region",
-            help="In this region; may be repeated. People who give orders need one, as a robot.",
+            help="A region; repeatable. Roles that give orders need a region and a robot.",
         ),
     ] = None,
     every_region: Annotated[
-        bool, typer.Option("--every-region", help="Everywhere, in the place of --region.")
+        bool, typer.Option("--every-region", help="Every region, instead of --region.")
     ] = False,
     site: Annotated[
-        Path | None, typer.Option("--site", help="The site: a gate's profile is in it.")
+        Path | None, typer.Option("--site", help="The site model, for the profile of a gate.")
     ] = None,
     template: Annotated[
-        Path | None, typer.Option("--template", help="A scheduler's template.")
+        Path | None, typer.Option("--template", help="The template of a scheduler.")
     ] = None,
     algorithm: AlgorithmOption = Choice.ED25519,
     key: Annotated[
         Path | None,
-        typer.Option(
-            "--key", help="A key that is there, `pkcs11:` or a file (default: a new one)."
-        ),
+        typer.Option("--key", help="An existing key, a file or `pkcs11:` (default: a new key)."),
     ] = None,
     passphrase_file: PassphraseFile = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """On the member's machine: make a key, which stays here, and a request, which travels."""
+    """On the member's machine: make a private key, which stays there, and a certificate request."""
     for name in (principal, *(robot or ()), *(region or ())):
         if not is_identifier(name):
             raise typer.BadParameter(f"expected an identifier, got `{name}`")
@@ -166,28 +170,26 @@ def _profile(role: Role, robots: list[str], site: Path | None) -> Digest | None:
     if site is None:
         raise typer.BadParameter("a gate's profile is in its site: name it", param_hint="--site")
     model = load_site(site)
-    if robots[0] not in model.robots:
-        raise typer.BadParameter(f"the site has no robot `{robots[0]}`", param_hint="--robot")
-    return profile_digest(model.robots[RobotId(robots[0])].profile)
+    return profile_digest(model.robots[require_robot(model, robots[0])].profile)
 
 
 def rotate_command(
     key: KeyOption,
-    cert: Annotated[Path, typer.Option("--cert", help="Its certificates.")],
     trust: TrustOption,
     out: Annotated[Path, typer.Option("--out", help="The folder for key and request.")],
+    cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Make the next key of a name, with a request that the key before signs.
+    """Make the next key of a name, and a request that the present key signs.
 
-    Both keys count until the old one is revoked or ends.
+    Both keys are valid until the old one is revoked or expires.
     """
     before = open_signer(key, cert, passphrase_file)
     anchor, now = read_trust(trust), wall_now(None)
     leaves = [
         anchor.identify(tuple(c.public_bytes(Encoding.DER) for c in chain), now)
-        for chain in pairs(read_certificates(cert, most=2 * len(ROOT_LISTS)))
+        for chain in pairs(read_certificates(certificate_of(key, cert), most=2 * len(ROOT_LISTS)))
     ]
     leaf = leaves[0]
     if leaf.members:

@@ -10,9 +10,8 @@ from typing import Annotated
 import typer
 
 from authguard_r.authoring.keys.setup import AUTHORITIES, demo_members, init_folder
-from authguard_r.cli.inputs import JsonFlag, load_site
+from authguard_r.cli.inputs import JsonFlag, load_site, require_robot
 from authguard_r.cli.key_answers import init_authorities
-from authguard_r.core.identifiers import RobotId
 from authguard_r.keys.algorithms import Algorithm
 from authguard_r.sim.example import bundled_hospital
 from authguard_r.wire.output import emit
@@ -27,18 +26,17 @@ _CHOICES: dict[str, tuple[Algorithm, ...]] = {
 #: one.
 DEMO_DAYS, ROOT_DAYS = 365, 3_650
 
-app = typer.Typer(help="Keys, certificates and trust roots.", no_args_is_help=True)
-
 
 _FolderArgument = Annotated[Path, typer.Argument(help="A new or empty folder.")]
 _DemoOption = Annotated[
-    bool, typer.Option("--demo/--no-demo", help="Everything in one folder; its root says so.")
+    bool,
+    typer.Option("--demo/--no-demo", help="Everything in one folder; the root is marked `demo`."),
 ]
 _SiteOption = Annotated[
-    Path | None, typer.Option("--site", help="The site whose robots get a gate certificate.")
+    Path | None, typer.Option("--site", help="The site model, with the robots.")
 ]
 _RobotOption = Annotated[
-    list[str] | None, typer.Option("--robot", help="A robot of the site; may be repeated.")
+    list[str] | None, typer.Option("--robot", help="A robot of the site; repeatable.")
 ]
 _AlgorithmOption = Annotated[
     str,
@@ -48,7 +46,7 @@ _AlgorithmOption = Annotated[
 ]
 _AuthoritiesOption = Annotated[
     str | None,
-    typer.Option("--authorities", help="With --no-demo: which to certify (default: all)."),
+    typer.Option("--authorities", help="With --no-demo: authorities to make (default: all)."),
 ]
 _DaysOption = Annotated[
     int | None,
@@ -61,8 +59,7 @@ _DaysOption = Annotated[
 ]
 
 
-@app.command("init")
-def init(
+def init_command(
     folder: _FolderArgument,
     demo: _DemoOption = True,
     site: _SiteOption = None,
@@ -72,10 +69,10 @@ def init(
     days: _DaysOption = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Write a root, role authorities, and keys for people, robot gate, estimator and witness.
+    """Create root, role authorities, and keys for people, gate, estimator and witness.
 
-    One folder that holds every private key protects nothing: use it to try things out. With
-    `--no-demo` roots and authorities alone, for the authority's own machine.
+    A folder with every private key is not safe: use it only to try things out. With `--no-demo`,
+    only the root and the authorities are made, for the authority's own machine.
     """
     if algorithm not in _CHOICES:
         text = f"expected one of {', '.join(_CHOICES)}, got `{algorithm}`"
@@ -97,10 +94,7 @@ def init(
         text = "everything lies in one folder here: with --no-demo"
         raise typer.BadParameter(text, param_hint="--authorities")
     model = load_site(site or bundled_hospital() / "site.yaml")
-    rids = tuple(RobotId(name) for name in robot or [next(iter(model.robots))])
-    unknown = [rid for rid in rids if rid not in model.robots]
-    if unknown:
-        raise typer.BadParameter(f"the site has no robot `{unknown[0]}`", param_hint="--robot")
+    rids = tuple(require_robot(model, name) for name in robot or [next(iter(model.robots))])
     members, now = demo_members(model, rids), datetime.now(UTC)
     kinds = _CHOICES[algorithm]
     init_folder(folder, members, now=now, days=days or DEMO_DAYS, algorithms=kinds)

@@ -44,17 +44,18 @@ def learn_command(
         Path | None,
         typer.Option(
             "--binding",
-            help="The planner's tools: what it reads becomes actions, and the proposal keeps it.",
+            help="The planner's tools, if some are bound already.",
         ),
     ] = None,
     trust: Annotated[
-        Path | None, typer.Option("--trust", help="The trust folder that the site is held to.")
+        Path | None,
+        typer.Option("--trust", help="The trust folder: the site's signature is verified."),
     ] = None,
     reader: ReaderOption = None,
     passphrase_file: PassphraseFile = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Propose a binding and a mission from a shadow run; whether it is signed, a person says."""
+    """Propose a binding and a mission from the log of a shadow run. A person signs them, or not."""
     opening = unsealer_of(reader, passphrase_file)
     model = load_site(site, trust)
     bound = None if binding is None else read_binding(binding, model)

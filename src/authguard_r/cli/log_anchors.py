@@ -173,7 +173,7 @@ def _cosigned(note: Note, witnesses: tuple[NoteKey, ...], where: str) -> tuple[A
 def _folder_keys(trust: Path | None, claimed: Checkpoint) -> tuple[NoteKey, ...]:
     """Return the log's keys that a trust folder gives."""
     if trust is None:
-        raise _no_key("--key, or --trust")
+        raise _no_key("--log-key, or --trust")
     _, _, rest = claimed.origin.partition("/")
     robot = rest.partition("/")[0]
     if not is_identifier(robot) or claimed.origin != origin_of(RobotId(robot)):
@@ -197,7 +197,7 @@ def _terminal(data: bytes, trust: Path | None) -> Terminal:
 
 def _no_key(option: str) -> EnvironmentFault:
     return EnvironmentFault(
-        f"a checkpoint is worth only as much as the key that signed it; name {option}",
+        f"a checkpoint proves nothing without the key that signed it: name {option}",
         reason=Reason.STORE_UNAVAILABLE,
         where=option.partition(",")[0],
     )

@@ -35,7 +35,7 @@ _OPEN = 1_024
 
 DraftOption = Annotated[
     Path | None,
-    typer.Option("--draft", help="Write the smallest change here: a draft to go through."),
+    typer.Option("--draft", help="File for the smallest change, a draft."),
 ]
 
 
@@ -47,7 +47,7 @@ def explain_command(
     passphrase_file: PassphraseFile = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Say what a record says, who asked, why, and what signed change would have allowed it."""
+    """Explain one record: what, who, why, and which signed change would have allowed it."""
     how = f"authguard audit explain {store} {seq} --draft FILE"
     opening = unsealer_of(reader, passphrase_file)
     with reading(store, opening) as log:

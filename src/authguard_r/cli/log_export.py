@@ -54,7 +54,7 @@ def export_command(
     store: StoreArgument,
     form: Annotated[
         Format,
-        typer.Option("--format", help="`jsonl`: what `audit verify` reads; `csv`: for a table."),
+        typer.Option("--format", help="`jsonl` for `audit verify`, or `csv` for a table."),
     ] = Format.JSONL,
     out: Annotated[
         Path | None, typer.Option("--out", help="A new file (default: standard output).")
@@ -63,10 +63,10 @@ def export_command(
     passphrase_file: PassphraseFile = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Write the log as JSON Lines, its newest checkpoint last, or as CSV.
+    """Write a log as JSON Lines with its newest checkpoint at the end, or as CSV.
 
-    JSON Lines hold every byte that is chained and signed: one file and one public key are all that
-    a stranger needs. CSV is for reading; it cannot be verified. Nothing is verified here.
+    JSON Lines have every byte that is chained and signed: this file and one public key are enough
+    to verify it. CSV is for reading and cannot be verified. The export verifies nothing.
     """
     if out is None and as_json:
         raise typer.BadParameter("expected --out beside --json", param_hint="--out")

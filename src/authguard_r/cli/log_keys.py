@@ -19,17 +19,18 @@ from authguard_r.wire.output import emit
 def key_command(
     trust: TrustOption,
     robot: Annotated[
-        str | None, typer.Option("--robot", help="Whose log; needed with several gates.")
+        str | None,
+        typer.Option("--robot", help="The robot, if the trust folder has several gates."),
     ] = None,
     cert: Annotated[
         Path | None,
-        typer.Option("--cert", help="The gate's certificate, where the folder does not hold it."),
+        typer.Option("--cert", help="The gate's certificate, if it is not in the trust folder."),
     ] = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Print the verifier keys of a robot's log, for `audit verify --key` on another machine.
+    """Print the keys that verify a robot's log, for `audit verify --log-key` on another machine.
 
-    A set-up with two roots has two keys, and every checkpoint is signed with both.
+    A set-up with two roots has two keys, and every checkpoint has both signatures.
     """
     rid = gate_robot(trust, robot)
     keys = [key.text() for key in keys_of(trust, rid, cert=cert)]

@@ -156,10 +156,10 @@ class Timeline:
 def show_command(
     store: StoreArgument,
     kind: Annotated[
-        str | None, typer.Option("--kind", help="Only records of this kind (`decision` ...).")
+        str | None, typer.Option("--kind", help="Only records of this kind, such as `decision`.")
     ] = None,
     refused: Annotated[
-        bool, typer.Option("--refused", help="Only what was refused, aborted or not begun.")
+        bool, typer.Option("--refused", help="Only refused, aborted or not started actions.")
     ] = False,
     would: Annotated[
         bool,
@@ -169,26 +169,29 @@ def show_command(
         str | None, typer.Option("--mission", help="Only records of this mission.")
     ] = None,
     client: Annotated[
-        str | None, typer.Option("--client", help="Only what this client or person did.")
+        str | None, typer.Option("--client", help="Only records of this client or person.")
     ] = None,
     reason: Annotated[
-        str | None, typer.Option("--reason", help="Only records with this reason code.")
+        str | None, typer.Option("--code", help="Only records with this reason code.")
     ] = None,
     since: Annotated[
-        str | None, typer.Option("--since", help="Not before, 2026-01-31T14:30:00Z.")
+        str | None,
+        typer.Option("--since", help="Only records from this instant on: 2026-01-31T14:30:00Z."),
     ] = None,
-    until: Annotated[str | None, typer.Option("--until", help="Not after.")] = None,
-    first: Annotated[int, typer.Option("--from", help="The first record's number.", min=0)] = 0,
+    until: Annotated[
+        str | None, typer.Option("--until", help="Only records up to this instant.")
+    ] = None,
+    first: Annotated[int, typer.Option("--first", help="Number of the first record.", min=0)] = 0,
     last: Annotated[
-        int | None, typer.Option("--to", help="The last record's number.", min=0)
+        int | None, typer.Option("--last", help="Number of the last record.", min=0)
     ] = None,
     reader: ReaderOption = None,
     passphrase_file: PassphraseFile = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Print the log as a timeline: who, what, from where to where, what was said, how it ended."""
+    """Print a log as a timeline: who, what, from where to where, why, and how it ended."""
     if reason is not None and reason not in _REASONS:
-        raise typer.BadParameter(f"`{reason}` is no reason code", param_hint="--reason")
+        raise typer.BadParameter(f"`{reason}` is no reason code", param_hint="--code")
     wanted = RecordFilter(
         kind=kind,
         refused=refused,
@@ -229,7 +232,7 @@ def _shown(rows: Iterator[LogRow], wanted: RecordFilter, out: Listing, opening: 
             has = wanted.has(record, values)
             timeline.see(row, record, values, wanted=has, closed=closed)
         except (AttributeError, TypeError, ValueError) as error:
-            text = f"expected what such a record holds: {error}"
+            text = f"expected the fields of such a record: {error}"
             raise MalformedError(text, where=f"record {row.seq}") from error
     timeline.close()
     return count

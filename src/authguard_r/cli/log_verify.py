@@ -44,25 +44,26 @@ _CheckpointOption = Annotated[
     list[Path] | None,
     typer.Option(
         "--checkpoint",
-        help="A checkpoint that was kept elsewhere: a signed note, or a signed terminal "
-        "digest. May be repeated.",
+        help="A checkpoint from elsewhere: a signed note or terminal digest; repeatable.",
     ),
 ]
 _KeyOption = Annotated[
     list[str] | None,
-    typer.Option("--key", help="The log's verifier key (`audit key`); all that are named sign."),
+    typer.Option(
+        "--log-key", help="A verifier key of the log (`audit key`); repeatable: all must sign."
+    ),
 ]
 _WitnessOption = Annotated[
     list[str] | None,
-    typer.Option("--witness", help="A witness's verifier key. May be repeated."),
+    typer.Option("--witness", help="Verifier key of a witness; repeatable."),
 ]
 _QuorumOption = Annotated[
     int | None,
-    typer.Option("--quorum", help="How many of the witnesses it takes (default: all).", min=1),
+    typer.Option("--quorum", help="Number of witnesses that must sign (default: all).", min=1),
 ]
 _TrustOption = Annotated[
     Path | None,
-    typer.Option("--trust", help="A trust folder; its gate's certificate gives the key."),
+    typer.Option("--trust", help="A trust folder with the gate's certificate."),
 ]
 _JobsOption = Annotated[
     int | None,
@@ -88,20 +89,20 @@ def verify_command(
     passphrase_file: PassphraseFile = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Say whether the log is whole and how it is anchored; tampered or missing: 1, unreadable: 4.
+    """Verify that a log is complete and unchanged; tampered or missing: 1, unreadable: 4.
 
-    The first record that is changed, missing, inserted or out of place is named. Only a checkpoint
-    that was signed with a key that you name shows that this is the log that was written, as far as
-    it reaches; the one in the file goes back with the file, so keep one elsewhere. Naming a key or
-    witnesses demands such a checkpoint. A running gate returns its log itself, and nothing else is
-    started beside it. With --reader every box that the key opens is opened, in this process alone,
-    and held to what its record commits to.
+    The command names the first record that is changed, missing, inserted or out of place. Only a
+    checkpoint with a signature of a key that you name proves which log this is, up to that
+    checkpoint. An attacker can restore an old file with its old checkpoint, so store one
+    elsewhere. With a key or witnesses, the log must have such a checkpoint. A running gate sends
+    its log itself. With --reader, this process also opens every sealed field of that key and
+    checks it.
     """
     if quorum is not None and quorum > len(witness or ()):
         raise typer.BadParameter("expected at least as many witnesses", param_hint="--quorum")
     asked = AnchorOptions(
         kept=tuple(checkpoint or ()),
-        keys=tuple(read_key(text, where="--key") for text in key or ()),
+        keys=tuple(read_key(text, where="--log-key") for text in key or ()),
         witnesses=tuple(read_key(text, where="--witness") for text in witness or ()),
         quorum=quorum or len(witness or ()),
         trust=trust,

@@ -20,24 +20,24 @@ from authguard_r.keys.trust import read_trust
 from authguard_r.normalize.dialects import Call
 from authguard_r.wire.output import emit
 
-RunOption = Annotated[Path, typer.Option("--run", help="The gate's run folder.")]
+RunOption = Annotated[Path, typer.Option("--gate", help="The gate's run folder.")]
 
 
 _ServerArgument = Annotated[
     list[str],
-    typer.Argument(metavar="SERVER...", help="The tools' server: its command, or its URL."),
+    typer.Argument(metavar="SERVER...", help="The MCP server: its command, or its URL."),
 ]
-_RobotOption = Annotated[str, typer.Option("--robot", help="Whose tools they are.")]
+_RobotOption = Annotated[str, typer.Option("--robot", help="The robot.")]
 _PinsOption = Annotated[
-    Path | None, typer.Option("--pins", help="What the server's tools have to be.")
+    Path | None, typer.Option("--pins", help="File of pinned tools (`advanced mcp-tools --out`).")
 ]
 _VariableOption = Annotated[
     list[str] | None,
-    typer.Option("--env", help="A variable that the server gets: NAME, or NAME=VALUE."),
+    typer.Option("--env", help="Environment variable for the server: NAME or NAME=VALUE."),
 ]
 _StopOption = Annotated[
     list[str] | None,
-    typer.Option("--stop-call", help='Stops the robot: TOOL or TOOL={"argument": ...}.'),
+    typer.Option("--stop-call", help='Call that stops the robot: TOOL or TOOL={"argument": ...}.'),
 ]
 _ListenOption = Annotated[
     str | None,
@@ -45,13 +45,15 @@ _ListenOption = Annotated[
 ]
 _BearerOption = Annotated[
     Path | None,
-    typer.Option("--token-file", help="With --listen: the bearer token that clients show."),
+    typer.Option("--token-file", help="With --listen: file with the bearer token of the clients."),
 ]
 _ShadowOption = Annotated[
     bool,
-    typer.Option("--shadow", help="With a gate in shadow mode: calls go past it, and it says."),
+    typer.Option(
+        "--shadow", help="Shadow mode: every call runs, and the gate records its decision."
+    ),
 ]
-_ClientOption = Annotated[str, typer.Option("--client", help="The planner's name in the log.")]
+_ClientOption = Annotated[str, typer.Option("--client", help="Name of the planner in the log.")]
 
 
 def mcp_command(
@@ -69,10 +71,10 @@ def mcp_command(
     shadow: _ShadowOption = False,
     client: _ClientOption = "mcp",
 ) -> int:
-    """Stand between a planner's MCP client and a robot's MCP server.
+    """Serve the tools of a robot's MCP server to a planner, through the gate.
 
-    Put it where the server's command stood in the client's configuration: the client is shown the
-    bound tools, each call is decided by the gate, and only what the gate releases is called.
+    Use this command in the client's configuration in place of the server's command. The client
+    sees the bound tools. The gate decides each call, and the server gets only released calls.
     """
     from authguard_r.integrations.http_listener.access import listening, read_bearer
     from authguard_r.integrations.mcp.http_front import serve_http
@@ -112,22 +114,22 @@ def mcp_command(
 def mcp_tools_command(
     server: Annotated[
         list[str],
-        typer.Argument(metavar="SERVER...", help="The tools' server: its command, or its URL."),
+        typer.Argument(metavar="SERVER...", help="The MCP server: its command, or its URL."),
     ],
     site: SiteOption,
     binding: BindingOption,
     out: Annotated[
-        Path | None, typer.Option("--out", help="Write what the tools are here, for `--pins`.")
+        Path | None, typer.Option("--out", help="File for the pinned tools (`mcp --pins`).")
     ] = None,
     variable: Annotated[
         list[str] | None,
-        typer.Option("--env", help="A variable that the server gets: NAME, or NAME=VALUE."),
+        typer.Option("--env", help="Environment variable for the server: NAME or NAME=VALUE."),
     ] = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Ask a robot's MCP server for its tools, and say what a gateway would do with each.
+    """List the tools of a robot's MCP server, and what the gateway does with each.
 
-    Exit code 1 when binding and server do not have the same tools: it was made for another version.
+    Exit 1 when binding and server do not have the same tools: the binding is for another version.
     """
     from authguard_r.integrations.mcp.front import fate
     from authguard_r.integrations.mcp.pins import pins_bytes

@@ -21,11 +21,11 @@ def metrics_command(
     trust: ProofOption = None,
     listen: Annotated[
         str | None,
-        typer.Option("--listen", help="Serve them at this loopback address, 127.0.0.1:PORT."),
+        typer.Option("--listen", help="Serve the metrics at 127.0.0.1:PORT."),
     ] = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Print a gate's counts in the text format of Prometheus, or serve them on loopback."""
+    """Print the metrics of a gate in the Prometheus text format, or serve them on loopback."""
     from authguard_r.operations.exposition import exposition, serve
 
     read = _reader(gate, role, trust)

@@ -31,7 +31,6 @@ from authguard_r.cli.inputs import (
 )
 from authguard_r.cli.mission_files import lint_json, mission_digest, read_unverified
 from authguard_r.cli.out import risk_policy_json
-from authguard_r.cli.sign import sign_command
 from authguard_r.core.encoding import Tag, b64, decode, digest, encode, unb64
 from authguard_r.core.mission import Mission
 from authguard_r.core.token import read_token
@@ -41,25 +40,23 @@ from authguard_r.site.formatting import row_words
 from authguard_r.site.source import read_text, read_yaml
 from authguard_r.wire.output import emit
 
-app = typer.Typer(help="Missions: from a draft to signed authority and back.", no_args_is_help=True)
 MissionArgument = Annotated[Path, typer.Argument(help="A mission as `compile` wrote it.")]
 TokenArgument = Annotated[Path, typer.Argument(help="A signed mission.")]
 
 
-@app.command("compile")
 def compile_command(
     draft: Annotated[Path, typer.Argument(help="A mission draft (YAML).")],
     site: SiteOption,
     answer: AnswerOption = None,
     no_input: NoInputFlag = False,
     supersedes: Annotated[
-        Path | None, typer.Option("--supersedes", help="The token of the version before.")
+        Path | None, typer.Option("--supersedes", help="Token of the previous version.")
     ] = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Where to write it.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="File to write.")] = None,
     now: NowOption = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Turn a draft into the canonical mission, or ask what only a person can say (exit 3)."""
+    """Compile a draft to a mission, or print the questions that are open (exit 3)."""
     plain = _supersede(read_yaml(read_text(draft), where=str(draft)), supersedes)
     model, at, nonce = load_site(site), wall_now(now), b64(os.urandom(16))
 
@@ -93,12 +90,11 @@ def _supersede(plain: object, token: Path | None) -> object:
     return {**plain, "version": old.version + 1, "supersedes": digest(Tag.MISSION, payload)}
 
 
-@app.command("review")
 def review_command(
     mission: MissionArgument,
     site: SiteOption,
     against: Annotated[
-        Path | None, typer.Option("--against", help="The version before; shows what is added.")
+        Path | None, typer.Option("--against", help="The previous version: show what is added.")
     ] = None,
     risk_policy: RiskPolicyOption = None,
     trust: Annotated[
@@ -106,7 +102,7 @@ def review_command(
     ] = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show the operator's card: what is granted, row by row, and what is not."""
+    """Show the operator's card: what the mission grants, row by row, and what it does not grant."""
     risk = _risk(risk_policy, trust)
     model, new = load_site(site), read_unverified(mission)
     card, findings = review(new, model, demand=_demand(risk)), lint(new, model)
@@ -150,14 +146,13 @@ def _demand(risk: VerifiedPolicy | None) -> OrganizationDemand | None:
     return OrganizationDemand(organization=own.organization, version=own.version, policy=own.policy)
 
 
-@app.command("lint")
-def lint_command(
+def check_command(
     mission: MissionArgument,
     site: SiteOption,
     strict: Annotated[bool, typer.Option("--strict", help="Fail on warnings too.")] = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Name what a signer should look at; exit 1 when there is an error."""
+    """Check a mission for mistakes and risks; exit 1 when there is an error."""
     opened = read_unverified(mission)
     findings = lint(opened, load_site(site))
     failed = [f for f in findings if strict or f.severity is Severity.ERROR]
@@ -166,14 +161,10 @@ def lint_command(
     return 1 if failed else 0
 
 
-app.command("sign")(sign_command)
-
-
-@app.command("verify")
 def verify_command(
     token: TokenArgument, trust: TrustOption, now: NowOption = None, as_json: JsonFlag = False
 ) -> int:
-    """Check certificate, signature and schema of a mission, and say whose it is."""
+    """Verify certificate, signature and schema of a mission; print who signed it."""
     at = wall_now(now)
     verified = read_mission(token, read_trust(trust), at)
     in_time = verified.not_before_ms <= at.utc_ms <= verified.expiry_ms
@@ -196,9 +187,8 @@ def verify_command(
     return 0 if in_time else 1
 
 
-@app.command("show")
 def show_command(token: TokenArgument, as_json: JsonFlag = False) -> int:
-    """Print what a token says, without any claim that it is authentic."""
+    """Print the mission in a token. The signature is not verified."""
     opened = read_token(read_file(token))
     mission = decode(unb64(opened.payload, where="token.payload"), Mission, where="mission")
     payload = {"mission": msgspec.to_builtins(mission), "digest": mission_digest(mission)}
@@ -207,14 +197,13 @@ def show_command(token: TokenArgument, as_json: JsonFlag = False) -> int:
     return 0
 
 
-@app.command("diff")
 def diff_command(
     old: TokenArgument,
     new: Annotated[Path, typer.Argument(help="The next version.")],
     site: SiteOption,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show what a new version changes, widening first."""
+    """Show what a new version changes; wider permissions first."""
     before, after = read_unverified(old), read_unverified(new)
     supersedes, changes = is_next(before, after), list(compare(before, after, load_site(site)))
     head = [] if supersedes else _not_next(before, after)

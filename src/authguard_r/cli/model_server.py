@@ -11,7 +11,9 @@ BaseUrlOption = Annotated[
     str | None,
     typer.Option("--base-url", help="Address of the model server; no other server is contacted."),
 ]
-ModelOption = Annotated[str | None, typer.Option("--model", help="The model's name there.")]
+ModelOption = Annotated[
+    str | None, typer.Option("--model", help="The name of the model at the server.")
+]
 ApiKeyEnvOption = Annotated[
     str | None, typer.Option("--api-key-env", help="Environment variable with the key.")
 ]
@@ -22,7 +24,7 @@ _TIMEOUT = typer.Option(
     min=0.1,
     max=3600,
     show_default=str(TIMEOUT_S),
-    help="Seconds that the model may take in all.",
+    help="Longest time for the model, in seconds.",
 )
 TimeoutOption = Annotated[float, _TIMEOUT]
 #: For a command that refuses `--timeout` where no model is asked.

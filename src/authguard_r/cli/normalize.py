@@ -47,18 +47,18 @@ from authguard_r.provenance.labels import label_fields
 from authguard_r.wire.output import emit
 
 _TokenOption = Annotated[
-    Path | None, typer.Option("--token", help="The mission that labels are worked out for.")
+    Path | None, typer.Option("--token", help="The mission, for provenance labels.")
 ]
 _TrustOption = Annotated[
-    Path | None, typer.Option("--trust", help="The trust folder; verifies the token.")
+    Path | None, typer.Option("--trust", help="The trust folder: the token is verified.")
 ]
-_DialectOption = Annotated[Dialect, typer.Option("--dialect", help="How the plan is written.")]
+_DialectOption = Annotated[Dialect, typer.Option("--dialect", help="The format of the plan.")]
 _ContextOption = Annotated[
     Path | None, typer.Option("--context", help="What the planner saw (JSON Lines).")
 ]
 _FreeTextOption = Annotated[
     ChatProtocol | None,
-    typer.Option("--free-text", help="Let a language model turn free text into calls."),
+    typer.Option("--free-text", help="Translate free text to calls with a language model."),
 ]
 _PlanOutOption = Annotated[
     Path | None, typer.Option("--plan-out", help="File for the checked plan.")
@@ -85,7 +85,7 @@ def normalize_command(
     jsonl: _JsonlOption = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Read planner output on standard input and print the actions it means, or a refusal."""
+    """Read planner output from standard input; print its actions, or why it is refused."""
     reader = free_text_reader(free_text, base_url, model, api_key_env, timeout)
     if reader is not None and jsonl:
         raise typer.BadParameter("`--free-text` cannot be used with `--jsonl`")

@@ -25,11 +25,9 @@ from authguard_r.store.sqlite import read_held
 
 CounterOption = Annotated[
     Path | None,
-    typer.Option("--counter", help="The store's outside counter, where no gate runs and it has."),
+    typer.Option("--counter", help="The file of the store's outside counter."),
 ]
-NewOption = Annotated[
-    bool, typer.Option("--new", help="Make the store where there is none, for a gate to come.")
-]
+NewOption = Annotated[bool, typer.Option("--new", help="Create the store if it does not exist.")]
 
 
 class OfflineStore(Struct, frozen=True, kw_only=True):

@@ -25,10 +25,10 @@ from authguard_r.cli.inputs import (
     read_mission,
     wall_now,
 )
-from authguard_r.cli.mission import TokenArgument, app
+from authguard_r.cli.mission import TokenArgument
 from authguard_r.cli.mission_files import beside_token, warn
 from authguard_r.cli.offline import CounterOption, NewOption, OfflineStore, offline
-from authguard_r.cli.signing_key import PassphraseFile, open_signer
+from authguard_r.cli.signing_key import CertOption, OrderKeyOption, PassphraseFile, signer_of
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.identifiers import Digest, GrantId
 from authguard_r.core.mission import Mission
@@ -37,25 +37,23 @@ from authguard_r.core.token import VerifiedMission, read_token, sign_object
 from authguard_r.enforcement.inputs import ISSUER_ROLES
 from authguard_r.enforcement.signed_orders import Command, Verb
 from authguard_r.enforcement.templates import instantiate, open_template
-from authguard_r.keys.signer import FileSigner, folder_signer
+from authguard_r.keys.signer import FileSigner
 from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.site import formatting
 from authguard_r.site.model import Site
 from authguard_r.wire.output import emit
 
 T = TypeVar("T")
-StoreOption = Annotated[Path, typer.Option("--store", help="The robot's store.")]
-KeyOption = Annotated[
-    Path | None, typer.Option("--key", help="Who gives the order (default: the demo issuer).")
+StoreOption = Annotated[
+    Path, typer.Option("--store", envvar="AUTHGUARD_STORE", help="The robot's store.")
 ]
-CertOption = Annotated[Path | None, typer.Option("--cert", help="The key's certificate chain.")]
 RobotOption = Annotated[
-    str | None, typer.Option("--robot", help="Which gate of the folder this store is of.")
+    str | None, typer.Option("--robot", help="The robot, if the trust folder has several gates.")
 ]
 ConfirmationOption = Annotated[
     Path | None,
     typer.Option(
-        "--confirmation", help="The record of its signing (default: the one beside the token)."
+        "--confirmation", help="The confirmation of its signing (default: beside the token)."
     ),
 ]
 TemplateOption = Annotated[
@@ -77,7 +75,6 @@ class KnownOutcome(StrEnum):
 ORDER_MS = 120_000
 
 
-@app.command("issue")
 def issue_command(
     token: TokenArgument,
     trust: TrustOption,
@@ -89,13 +86,15 @@ def issue_command(
     new: NewOption = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Hand in a signed mission, its next version, or a template's instance; activate nothing."""
+    """Give the gate a signed mission, its next version, or an instance of a template.
+
+    The mission is not activated.
+    """
     data, said = _handed(token, confirmation)
     place = OfflineStore(store=store, trust=trust, site=site, robot=robot, counter=counter, new=new)
     return manage(place, lambda m: m.issue(data, confirmation=said), as_json=as_json)
 
 
-@app.command("activate")
 def activate_command(
     token: TokenArgument,
     trust: TrustOption,
@@ -107,7 +106,7 @@ def activate_command(
     new: NewOption = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Take in a signed mission, its next version, or a template's instance; make it active."""
+    """Give the gate a signed mission, its next version, or a template's instance; activate it."""
     data, said = _handed(token, confirmation)
     place = OfflineStore(store=store, trust=trust, site=site, robot=robot, counter=counter, new=new)
     return manage(place, lambda m: m.activate(data, confirmation=said), as_json=as_json)
@@ -137,7 +136,7 @@ def _order(verb: Verb) -> Callable[..., int]:
         trust: TrustOption,
         site: SiteOption,
         store: StoreOption,
-        key: KeyOption = None,
+        key: OrderKeyOption = None,
         cert: CertOption = None,
         passphrase_file: PassphraseFile = None,
         robot: RobotOption = None,
@@ -152,27 +151,28 @@ def _order(verb: Verb) -> Callable[..., int]:
         return manage(place, lambda m: m.command(signed), as_json=as_json)
 
     order.__doc__ = {
-        Verb.REVOKE: "End a mission for good; the next action is refused.",
+        Verb.REVOKE: "End a mission now; the gate refuses its next action.",
         Verb.COMPLETE: "Declare a mission complete.",
-        Verb.SUSPEND: "Hold a mission until it is resumed.",
-        Verb.RESUME: "Let a suspended mission go on.",
+        Verb.SUSPEND: "Suspend a mission until it is resumed.",
+        Verb.RESUME: "Resume a suspended mission.",
     }[verb]
     return order
 
 
-for _verb in (Verb.REVOKE, Verb.COMPLETE, Verb.SUSPEND, Verb.RESUME):
-    app.command(str(_verb))(_order(_verb))
+revoke_command = _order(Verb.REVOKE)
+complete_command = _order(Verb.COMPLETE)
+suspend_command = _order(Verb.SUSPEND)
+resume_command = _order(Verb.RESUME)
 
 
-@app.command("resolve")
 def resolve_command(
     token: TokenArgument,
     trust: TrustOption,
     site: SiteOption,
     store: StoreOption,
     ticket: Annotated[str, typer.Option("--ticket", help="The open release.")],
-    outcome: Annotated[KnownOutcome, typer.Option("--outcome", help="What became of it.")],
-    key: KeyOption = None,
+    outcome: Annotated[KnownOutcome, typer.Option("--outcome", help="How it ended.")],
+    key: OrderKeyOption = None,
     cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     robot: RobotOption = None,
@@ -180,7 +180,7 @@ def resolve_command(
     counter: CounterOption = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Sign how a release ended that was not observed."""
+    """Sign how an action ended that the gate could not observe."""
     verified = opened_mission(token, trust, template)
     signer = signer_of(verified.mission.issuer, trust, key, cert, passphrase_file)
     signed = _command(
@@ -190,7 +190,6 @@ def resolve_command(
     return manage(place, lambda m: m.command(signed), as_json=as_json)
 
 
-@app.command("choose")
 def choose_command(
     token: TokenArgument,
     trust: TrustOption,
@@ -198,18 +197,18 @@ def choose_command(
     store: StoreOption,
     grant: Annotated[str, typer.Option("--grant", help="The grant.")],
     row: Annotated[
-        int, typer.Option("--row", help="Its number, from 0, as `review` shows it.", min=0)
+        int, typer.Option("--row", help="Number of the row, from 0 (see `review`).", min=0)
     ],
-    key: KeyOption = None,
+    key: OrderKeyOption = None,
     cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     robot: RobotOption = None,
     template: TemplateOption = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask; for scripts.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask (for scripts).")] = False,
     counter: CounterOption = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Choose, signed, one of the rows that a grant offers; at a terminal it shows it and asks."""
+    """Sign the choice of one row that a grant offers; at a terminal, show the row and ask first."""
     verified = opened_mission(token, trust, template)
     signer = signer_of(verified.mission.issuer, trust, key, cert, passphrase_file)
     shown = row_lines(verified.mission, grant, row, load_site(site, trust))
@@ -297,21 +296,6 @@ def opened_mission(token: Path, trust: Path, template: Path | None) -> VerifiedM
     return instantiate(read_file(token), held, verifier=anchor, now=at).mission
 
 
-def signer_of(
-    issuer: str,
-    trust: Path,
-    key: Path | None,
-    cert: Path | None,
-    passphrase_file: Path | None = None,
-) -> FileSigner:
-    """Return who gives the order: the keys named, else the demo folder's issuer."""
-    if key is not None and cert is not None:
-        return open_signer(key, cert, passphrase_file)
-    if key is not None or cert is not None:
-        raise typer.BadParameter("--key and --cert go together", param_hint="--key")
-    return folder_signer(trust, issuer)
-
-
 def _command(
     verified: VerifiedMission,
     signer: FileSigner,
@@ -359,6 +343,3 @@ def signed_order(
     verified = opened_mission(token, trust, template)
     signer = signer_of(verified.mission.issuer, trust, key, cert, passphrase_file)
     return _command(verified, signer, verb)
-
-
-__all__ = ["app", "signed_order"]

@@ -6,7 +6,6 @@ How-to: docs/howto/approvals.md#pre-approve-low-risk-actions
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -24,7 +23,7 @@ from authguard_r.cli.orders import (
     opened_mission,
     row_lines,
 )
-from authguard_r.cli.signing_key import PassphraseFile, open_signer
+from authguard_r.cli.signing_key import CertOption, KeyOption, PassphraseFile, open_signer
 from authguard_r.core.approval import PreApproval
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import MalformedError
@@ -34,18 +33,18 @@ from authguard_r.core.reasons import Reason
 from authguard_r.core.token import VerifiedMission, sign_object
 
 _UsesOption = Annotated[
-    int, typer.Option("--uses", help="Releases that are covered; 0 withdraws.", min=0)
+    int, typer.Option("--uses", help="Number of actions; 0 withdraws the pre-approval.", min=0)
 ]
 _RowOption = Annotated[
     list[int] | None, typer.Option("--row", help="Number of a row, from 0; repeatable.", min=0)
 ]
 _MostRiskOption = Annotated[
-    int | None, typer.Option("--most-risk", help="The largest risk that is covered.", min=0)
+    int | None, typer.Option("--most-risk", help="The highest risk that is covered.", min=0)
 ]
-_ValidOption = Annotated[str | None, typer.Option("--valid", help="How long it counts: `30 min`.")]
-_KeyOption = Annotated[Path, typer.Option("--key", help="The approver's key.")]
-_CertOption = Annotated[Path, typer.Option("--cert", help="The key's certificate chain.")]
-_YesOption = Annotated[bool, typer.Option("--yes", help="Do not ask; for scripts.")]
+_ValidOption = Annotated[
+    str | None, typer.Option("--valid", help="How long it is valid: `30 min`.")
+]
+_YesOption = Annotated[bool, typer.Option("--yes", help="Do not ask (for scripts).")]
 
 
 def preapprove_command(
@@ -59,8 +58,8 @@ def preapprove_command(
     most_risk: _MostRiskOption = None,
     valid: _ValidOption = (None),
     *,
-    key: _KeyOption,
-    cert: _CertOption,
+    key: KeyOption,
+    cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     robot: RobotOption = None,
     template: TemplateOption = None,
@@ -68,10 +67,10 @@ def preapprove_command(
     counter: CounterOption = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Pre-approve low-risk actions, signed, before the robot asks; shows them and asks you.
+    """Approve low-risk actions before the robot asks: show them, ask, sign and send.
 
-    A pre-approval covers rows of one grant of one mission version, up to a largest risk, a number
-    of uses and an end. An action whose risk is tau_2 or more needs approvals of its own.
+    A pre-approval covers rows of one grant of one mission version, up to a highest risk, a number
+    of uses and an end. An action with a risk of tau_2 or more always needs its own approvals.
     """
     verified = opened_mission(token, trust, template)
     at, rows = wall_now(None), tuple(sorted(set(row or ())))

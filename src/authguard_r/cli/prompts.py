@@ -30,7 +30,7 @@ def prompts_command(
     passphrase_file: PassphraseFile = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Say how often people were asked: signatures, approval requests and choices, per mission."""
+    """Count how often people were asked: signatures, requests and choices of each mission."""
     opening = unsealer_of(reader, passphrase_file)
     with strange(), open_log(store) as log:
         rows = list(opening.rows(log.rows))

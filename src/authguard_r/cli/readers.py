@@ -29,21 +29,21 @@ def reader_command(
     keyfile: Annotated[Path, typer.Argument(metavar="KEYFILE", help="A new file for the key.")],
     hybrid: Annotated[
         bool,
-        typer.Option("--hybrid", help="ML-KEM-768 with X25519: stays closed to quantum computers."),
+        typer.Option("--hybrid", help="ML-KEM-768 with X25519, against quantum computers."),
     ] = False,
     protect: Annotated[
-        bool, typer.Option("--protect", help="Ask for a passphrase that seals the file.")
+        bool, typer.Option("--protect", help="Ask for a passphrase and encrypt the file.")
     ] = False,
     passphrase_file: PassphraseFile = None,
     show: Annotated[
-        bool, typer.Option("--show", help="Print the public key of a file that is there.")
+        bool, typer.Option("--show", help="Print the public key of an existing file.")
     ] = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Make the key of a reader of sealed fields and say what the configuration has of it.
+    """Make the key of a reader of sealed fields; print its line for the gate configuration.
 
-    The private key stays with the reader; only the public one goes to the author of the gate
-    configuration. With a passphrase the file is sealed. With --show only the public key is printed.
+    The private key stays with the reader. The author of the gate configuration needs only the
+    public key. With --show, only the public key is printed.
     """
     if show:
         if hybrid or protect:
@@ -79,7 +79,7 @@ def _make(
         passphrase = read_passphrase(passphrase_file)
     elif protect:
         if passphrase_of(None) is None:
-            raise typer.BadParameter("nobody is there to ask", param_hint="--passphrase-file")
+            raise typer.BadParameter("no terminal to ask at", param_hint="--passphrase-file")
         passphrase = ask_new_passphrase(str(keyfile))
     key = new_reader(hybrid=hybrid)
     data = key.pem() if passphrase is None else seal(key.pem(), passphrase)

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
@@ -13,16 +12,16 @@ import typer
 from authguard_r.anchoring.evidence import BY_COUNTER, BY_STORE
 from authguard_r.cli.ask import confirm_shown
 from authguard_r.cli.gateway import GateOption, ReadingRole, connected
-from authguard_r.cli.inputs import JsonFlag, wall_now
-from authguard_r.cli.orders import ORDER_MS, CertOption, KeyOption
-from authguard_r.cli.signing_key import PassphraseFile, open_signer
+from authguard_r.cli.inputs import JsonFlag, TrustOption, wall_now
+from authguard_r.cli.orders import ORDER_MS
+from authguard_r.cli.signing_key import CertOption, OrderKeyOption, PassphraseFile, signer_of
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.errors import MalformedError, RefusedError
 from authguard_r.core.identifiers import MissionId
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
 from authguard_r.enforcement.signed_orders import Command, StoreClaim, Verb
-from authguard_r.keys.signer import FileSigner, folder_signer
+from authguard_r.keys.signer import FileSigner
 from authguard_r.wire.output import emit
 
 #: What else than a witness knows how far the log had come.
@@ -57,20 +56,20 @@ class _Status(msgspec.Struct):
 
 
 def recover_command(
-    trust: Annotated[Path, typer.Option("--trust", help="The trust folder (`keys init`).")],
+    trust: TrustOption,
     gate: GateOption = None,
-    key: KeyOption = None,
+    key: OrderKeyOption = None,
     cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask; for scripts.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask (for scripts).")] = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Let a gate go on with a store that was put back: signed, after it was looked at.
+    """Accept a store that was restored: show what is missing, ask, and sign the order.
 
-    Shows what the counter had seen and what is there. What the lost part used up is unknown: the
-    mission stays suspended until `resume`, and every other one has to be signed anew.
+    What the missing part consumed is unknown. The mission stays suspended until `resume`, and
+    every other mission must be signed again.
     """
-    signer = _signer(trust, key, cert, passphrase_file)
+    signer = signer_of(_DEMO, trust, key, cert, passphrase_file)
     with connected(gate, ReadingRole.OPERATOR, trust) as client:
         status = _read(client.status())
         if status.anchor.state != "put_back":
@@ -81,16 +80,6 @@ def recover_command(
         accepted = client.accept_store(_signed(status, signer))
     emit({"accepted": accepted}, _told(status, accepted), as_json=as_json)
     return 0
-
-
-def _signer(
-    trust: Path, key: Path | None, cert: Path | None, passphrase_file: Path | None
-) -> FileSigner:
-    if key is not None and cert is not None:
-        return open_signer(key, cert, passphrase_file)
-    if key is not None or cert is not None:
-        raise typer.BadParameter("--key and --cert go together", param_hint="--key")
-    return folder_signer(trust, _DEMO)
 
 
 def _read(said: dict[str, Any]) -> _Status:

@@ -269,19 +269,19 @@ def replay_command(
     store: StoreArgument,
     trust: Annotated[
         Path | None,
-        typer.Option("--trust", help="The trust folder: every token is held to its signature."),
+        typer.Option("--trust", help="The trust folder: every token is verified."),
     ] = None,
     first: Annotated[
-        int, typer.Option("--from", help="Make decisions again from this record on.", min=0)
+        int, typer.Option("--first", help="Number of the first record to decide again.", min=0)
     ] = 0,
     reader: ReaderOption = None,
     passphrase_file: PassphraseFile = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Make every decision of a log again, from the log alone; one that differs: exit 1.
+    """Make every decision of a log again, from the log alone; exit 1 when one differs.
 
-    The log is verified in the same pass: one that is not whole is exit 1, too, and one that lacks
-    values which no order in it has destroyed.
+    The command also verifies the log. A log that is not complete is exit 1, and so is a log
+    without values that no order in it destroyed.
     """
     anchor = None if trust is None else read_trust(trust)
     replay, opening = LogReplay(anchor, first=first), unsealer_of(reader, passphrase_file)

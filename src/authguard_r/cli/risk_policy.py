@@ -24,9 +24,8 @@ from authguard_r.authoring.compile.grants import GrantWords
 from authguard_r.authoring.compile.names import names_of
 from authguard_r.authoring.compile.questions import CompileQuestions
 from authguard_r.authoring.compile.totals import build_risk
-from authguard_r.cli.inputs import JsonFlag, NowOption, load_site, wall_now
+from authguard_r.cli.inputs import JsonFlag, NowOption, SiteOption, load_site, wall_now
 from authguard_r.cli.signed_kinds import (
-    CertOption,
     OutOption,
     SignedKind,
     TrustChoice,
@@ -34,7 +33,7 @@ from authguard_r.cli.signed_kinds import (
     show_kind,
     sign_kind,
 )
-from authguard_r.cli.signing_key import PassphraseFile, open_signer
+from authguard_r.cli.signing_key import CertOption, KeyOption, PassphraseFile, open_signer
 from authguard_r.core.encoding import Tag
 from authguard_r.core.identifiers import Identifier, Positive
 from authguard_r.core.quantities import Now, to_timestamp
@@ -46,10 +45,6 @@ from authguard_r.site.model import Site
 from authguard_r.site.source import convert, read_text, read_yaml
 from authguard_r.wire.output import emit
 
-app = typer.Typer(
-    help="The organization's risk policy: what no operator can sign away.", no_args_is_help=True
-)
-SiteChoice = Annotated[Path, typer.Option("--site", help="The site, whose words it weighs.")]
 _DEFAULTS = """\
   region_tags: {hazardous: 60, private: 40, public: 0, restricted: 30, staff: 5}
   object_classes: {hazardous: 50, medicine: 5}
@@ -71,15 +66,16 @@ class RiskPolicyForm(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     policy: DraftRisk
 
 
-@app.command("make")
-def make(
-    organization: Annotated[str, typer.Option("--organization", help="Whose policy it is.")],
-    site: SiteChoice,
-    out: Annotated[Path, typer.Option("--out", help="Where to write it.")],
-    version: Annotated[int, typer.Option("--version", help="Grows with every change.", min=1)] = 1,
+def make_command(
+    organization: Annotated[str, typer.Option("--organization", help="The organization.")],
+    site: SiteOption,
+    out: Annotated[Path, typer.Option("--out", help="File to write.")],
+    version: Annotated[
+        int, typer.Option("--version", help="Version; higher with every change.", min=1)
+    ] = 1,
     as_json: JsonFlag = False,
 ) -> int:
-    """Write a policy to edit and sign, with every action type of the site in it."""
+    """Create a policy with every action type of the site, to edit and sign."""
     types = ", ".join(f"{name}: 5" for name in sorted(load_site(site).vocabulary))
     text = f"organization: {organization}\nversion: {version}\npolicy:\n  types: {{{types}}}\n"
     write_whole(out, (text + _DEFAULTS).encode("utf-8"))
@@ -88,31 +84,29 @@ def make(
     return 0
 
 
-@app.command("sign")
-def sign(
+def sign_command(
     file: Annotated[Path, typer.Argument(help="A policy as `make` wrote it (YAML).")],
-    site: SiteChoice,
-    key: Annotated[Path, typer.Option("--key", help="A site authority's or safety officer's.")],
-    cert: CertOption,
+    site: SiteOption,
+    key: KeyOption,
+    cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     out: OutOption = None,
     trust: TrustChoice = None,
     yes: YesOption = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show what is demanded, ask, and sign."""
+    """Show the policy, ask, and sign."""
     policy, signer = _read(file, load_site(site)), open_signer(key, cert, passphrase_file)
     return sign_kind(_KIND, policy, file, signer, trust=trust, out=out, yes=yes, as_json=as_json)
 
 
-@app.command("show")
-def show(
+def show_command(
     token: Annotated[Path, typer.Argument(help="A signed policy.")],
     trust: TrustChoice = None,
     now: NowOption = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show what is demanded; with --trust, once the signature holds."""
+    """Show the policy. With --trust, the signature must be valid."""
     return show_kind(_KIND, token, trust=trust, now=now, as_json=as_json)
 
 

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from authguard_r.cli.inputs import JsonFlag, SiteOption, TrustOption, load_site
+from authguard_r.cli.inputs import JsonFlag, SiteOption, TrustOption, load_site, require_robot
 from authguard_r.core.identifiers import ObjectId, RegionId, RobotId
 from authguard_r.keys.trust import read_trust
 from authguard_r.sim.robot import Faults, SymbolicRobot
@@ -18,7 +18,7 @@ from authguard_r.sim.world import initial_state, taken
 from authguard_r.site.model import Site
 from authguard_r.wire.output import emit
 
-RunOption = Annotated[Path, typer.Option("--run", help="The folder with the sockets.")]
+RunOption = Annotated[Path, typer.Option("--gate", help="The gate's run folder.")]
 #: What may go wrong, and whether it takes a number.
 _FAULTS = {
     "grasp-fails": ("grasp_fails", False),
@@ -36,28 +36,32 @@ _FAULT_HELP = (
 
 def robot_command(
     site: SiteOption,
-    robot: Annotated[str, typer.Option("--robot", help="Which robot of the site it is.")],
+    robot: Annotated[str, typer.Option("--robot", help="The robot.")],
     run: RunOption,
     trust: TrustOption,
-    at: Annotated[str | None, typer.Option("--at", help="Where the robot stands.")] = None,
-    holding: Annotated[str | None, typer.Option("--holding", help="What it holds.")] = None,
+    at: Annotated[
+        str | None, typer.Option("--at", help="The region where the robot starts.")
+    ] = None,
+    holding: Annotated[
+        str | None, typer.Option("--holding", help="The object that the robot holds.")
+    ] = None,
     drift_to: Annotated[
-        str | None, typer.Option("--drift-to", help="Fault: the robot leaves its way.")
+        str | None, typer.Option("--drift-to", help="Fault: the robot drives to this region.")
     ] = None,
     fault: Annotated[list[str] | None, typer.Option("--fault", help=_FAULT_HELP)] = None,
     ignore_halt: Annotated[
-        bool, typer.Option("--ignore-halt", help="Fault: it carries out no stop.")
+        bool, typer.Option("--ignore-halt", help="Fault: the robot ignores stops.")
     ] = False,
     speed_up: Annotated[
-        int, typer.Option("--speed-up", min=1, max=1_000, help="The world's clock, for demos.")
+        int, typer.Option("--speed-up", min=1, max=1_000, help="Speed of the simulated clock.")
     ] = 1,
     as_json: JsonFlag = False,
 ) -> int:
-    """Be the symbolic robot until SIGTERM: obey only a gate that proves its key."""
+    """Run the simulated robot until SIGTERM. It obeys only a gate that proves its key."""
     from authguard_r.sim.process import run_robot
 
     model = load_site(site, trust)
-    rid = _known(model, robot)
+    rid = require_robot(model, robot)
     body = SymbolicRobot(
         model,
         rid,
@@ -74,12 +78,6 @@ def robot_command(
 
     run_robot(body, run, trust=lambda: read_trust(trust), speed_up=speed_up, ready=ready)
     return 0
-
-
-def _known(site: Site, robot: str) -> RobotId:
-    if robot not in site.robots:
-        raise typer.BadParameter(f"the site has no robot `{robot}`", param_hint="--robot")
-    return RobotId(robot)
 
 
 def _world(site: Site, rid: RobotId, at: str | None, holding: str | None) -> WorldState:

@@ -26,20 +26,18 @@ from authguard_r.wire.output import emit
 if TYPE_CHECKING:
     from authguard_r.integrations.ros.keycheck import KeystoreFault
 
-app = typer.Typer(help="ROS 2: the map, its keystore, and what they let through.")
 MapArgument = Annotated[Path, typer.Argument(metavar="MAP", help="The robot's ROS map.")]
 
 
-@app.command("keystore")
 def keystore_command(
     ros_map: MapArgument,
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A new or empty folder.")],
     as_json: JsonFlag = False,
 ) -> int:
-    """Write a keystore: for each process of the map a key, and the rights that the map gives it.
+    """Write a keystore: for each process of the map a key and its permissions.
 
-    Each enclave's folder is for one process and its Unix user. The folder `private` has the keys
-    of both authorities: keep it off the robot.
+    The folder of an enclave is for one process and its Unix user. The folder `private` has the
+    keys of both authorities: do not copy it to the robot.
     """
     ros = read_map(ros_map)
     require_extra()
@@ -65,32 +63,30 @@ def keystore_command(
     return 0
 
 
-@app.command("check")
 def check_command(
     ros_map: MapArgument,
     keystore: Annotated[
-        Path | None, typer.Option("--keystore", help="The keystore that its processes start from.")
+        Path | None, typer.Option("--keystore", help="The keystore of the processes.")
     ] = None,
     enclave: Annotated[
         str | None,
-        typer.Option("--enclave", help="Look at this shell's variables, as its process."),
+        typer.Option("--enclave", help="Check the environment of this shell for this enclave."),
     ] = None,
     binding: Annotated[
         Path | None,
-        typer.Option("--binding", help="The gate's binding, a file or a shipped name."),
+        typer.Option(
+            "--binding", help="The gate's binding: a file, or a name from `binding list`."
+        ),
     ] = None,
     site: Annotated[Path | None, typer.Option("--site", help="The site model.")] = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Say whether the gate's process alone can move the robot, and what stands against it.
+    """Check that only the gate's process can move the robot; print every fault.
 
-    With --binding and --site each mediated name has to be a way of the binding, as the gate's node
-    has it: exit 4 with the first that is none.
-
-    With --enclave the variables of this shell are looked at as a process of that enclave would.
-
-    With --keystore every enclave that lies there is read: exit 1 when one of them could publish,
-    serve or call what moves the robot, or when its documents are not signed, open or too wide.
+    With --binding and --site, each mediated name must be in the binding; exit 4 with the first
+    that is not. With --enclave, the environment of this shell is checked as that enclave's process
+    would find it. With --keystore, every enclave in it is checked; exit 1 when one of them could
+    move the robot, or when its documents are not signed, not readable or too wide.
     """
     if (binding is None) is not (site is None):
         raise typer.BadParameter("expected both or neither", param_hint="--binding, --site")

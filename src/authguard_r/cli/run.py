@@ -33,6 +33,7 @@ from authguard_r.cli.inputs import (
     load_site,
     read_context,
     read_input,
+    require_robot,
     wall_now,
 )
 from authguard_r.cli.offline import CounterOption, counter_of
@@ -138,9 +139,9 @@ def run_plan(
 
 
 _PlanOption = Annotated[
-    list[Path], typer.Option("--plan", help="Planner output; `-` reads it; may be repeated.")
+    list[Path], typer.Option("--plan", help="Planner output; `-`: standard input; repeatable.")
 ]
-_DialectOption = Annotated[Dialect, typer.Option("--dialect", help="How the plan is written.")]
+_DialectOption = Annotated[Dialect, typer.Option("--dialect", help="The format of the plan.")]
 _ContextOption = Annotated[
     Path | None, typer.Option("--context", help="What the planner saw (JSON Lines).")
 ]
@@ -150,11 +151,15 @@ _StoreOption = Annotated[
 _SafetyOption = Annotated[
     Path | None, typer.Option("--safety", help="A safety officer's signed configuration.")
 ]
-_RobotOption = Annotated[str | None, typer.Option("--robot", help="Which gate runs it.")]
-_AtOption = Annotated[str | None, typer.Option("--at", help="Where the robot stands.")]
-_HoldingOption = Annotated[str | None, typer.Option("--holding", help="What it holds.")]
+_RobotOption = Annotated[
+    str | None, typer.Option("--robot", help="The robot, if the trust folder has several gates.")
+]
+_AtOption = Annotated[str | None, typer.Option("--at", help="The region where the robot starts.")]
+_HoldingOption = Annotated[
+    str | None, typer.Option("--holding", help="The object that the robot holds.")
+]
 _DriftToOption = Annotated[
-    str | None, typer.Option("--drift-to", help="Fault: the robot leaves its way.")
+    str | None, typer.Option("--drift-to", help="Fault: the robot drives to this region.")
 ]
 
 
@@ -178,12 +183,11 @@ def run_command(
     weight: WeightOption = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Enforce a plan on the symbolic robot: decide, check, commit, move, watch, record."""
+    """Enforce a plan on the simulated robot: decide, check, commit, move, observe, record."""
     instant = wall_now(now)
     model = load_site(site, trust, instant)
-    rid = gate_robot(trust, robot)
-    if rid not in model.robots:
-        raise typer.BadParameter(f"the site has no robot `{rid}`", param_hint="--robot")
+    named = "--robot" if robot is not None else "--trust"  # whose gate certificate names it
+    rid = require_robot(model, gate_robot(trust, robot), where=named)
     config = None
     if safety is not None:
         config = open_config(read_file(safety), verifier=read_trust(trust), now=instant)

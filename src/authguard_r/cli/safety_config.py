@@ -16,7 +16,6 @@ from msgspec import to_builtins
 from authguard_r.cli.inputs import JsonFlag, NowOption, SiteOption, load_site
 from authguard_r.cli.safety_form import SafetyForm, own_envelope, read_form, written
 from authguard_r.cli.signed_kinds import (
-    CertOption,
     OutOption,
     SignedKind,
     TrustChoice,
@@ -24,7 +23,7 @@ from authguard_r.cli.signed_kinds import (
     show_kind,
     sign_kind,
 )
-from authguard_r.cli.signing_key import PassphraseFile, open_signer
+from authguard_r.cli.signing_key import CertOption, KeyOption, PassphraseFile, open_signer
 from authguard_r.core.encoding import Tag
 from authguard_r.core.quantities import Now
 from authguard_r.keys.files import write_whole
@@ -38,38 +37,35 @@ from authguard_r.site.source import convert, read_text, read_yaml
 from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.output import emit
 
-app = typer.Typer(help="A robot's signed safety configuration.", no_args_is_help=True)
 #: What makes no difference to what is safe.
 _LABELS = {"id", "version"}
 
 
-@app.command("make")
-def make(
+def make_command(
     site: SiteOption,
     robot: Annotated[str, typer.Option("--robot", help="The robot.")],
-    out: Annotated[Path, typer.Option("--out", help="Where to write it.")],
+    out: Annotated[Path, typer.Option("--out", help="File to write.")],
     as_json: JsonFlag = False,
 ) -> int:
-    """Write the envelope of the robot's own profile, to edit and sign."""
+    """Create a configuration from the robot's own profile, to edit and sign."""
     own = own_envelope(load_site(site), robot, where="--robot")
     write_whole(out, written(own).encode("utf-8"))
     emit(_payload(own, out), [*card(own), str(out)], as_json=as_json)
     return 0
 
 
-@app.command("sign")
-def sign(
+def sign_command(
     file: Annotated[Path, typer.Argument(help="A configuration as `make` wrote it (YAML).")],
     site: SiteOption,
-    key: Annotated[Path, typer.Option("--key", help="The safety officer's key.")],
-    cert: CertOption,
+    key: KeyOption,
+    cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     out: OutOption = None,
     trust: TrustChoice = None,
     yes: YesOption = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show what is demanded, ask, and sign; a checker's user by name is this machine's."""
+    """Show the limits, ask, and sign. The user name of a checker is resolved on this machine."""
     model, where = load_site(site, trust), str(file)
     form = convert(read_yaml(read_text(file), where=where), SafetyForm, where=where)
     config, signer = read_form(form, model, where=where), open_signer(key, cert, passphrase_file)
@@ -89,14 +85,13 @@ def sign(
     )
 
 
-@app.command("show")
-def show(
+def show_command(
     token: Annotated[Path, typer.Argument(help="A signed configuration.")],
     trust: TrustChoice = None,
     now: NowOption = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show what is demanded; with --trust, once a gate would take it."""
+    """Show the limits. With --trust, a gate must accept the configuration."""
     return show_kind(_KIND, token, trust=trust, now=now, as_json=as_json)
 
 

@@ -30,19 +30,23 @@ from authguard_r.wire.output import emit
 
 
 def segments_command(
-    store: Annotated[Path, typer.Argument(metavar="STORE", help="A store; a gate may hold it.")],
+    store: Annotated[
+        Path, typer.Argument(metavar="STORE", help="A store; a gate may have it open.")
+    ],
     key: Annotated[
         list[str] | None,
-        typer.Option("--key", help="The log's verifier key (`audit key`); all that are named sign"),
+        typer.Option(
+            "--log-key", help="A verifier key of the log (`audit key`); repeatable: all must sign."
+        ),
     ] = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """List the segments of a store's log: file, records, bytes, and whether its checkpoint holds.
+    """List the segments of a log: file, records, bytes, and whether the checkpoint is valid.
 
-    With --key every segment's checkpoint is held to its signature and to the links of all records
-    up to it. The values in a segment are verified with the whole log, by `audit verify`.
+    With --log-key, the signature of each checkpoint is verified, and the links of all records up
+    to it. `audit verify` verifies the values in the segments.
     """
-    keys = tuple(read_key(text, where="--key") for text in key or ())
+    keys = tuple(read_key(text, where="--log-key") for text in key or ())
     with strange():
         mark, folder = _mark(store), Folder(store)
         told = list(_told(folder, keys))

@@ -26,16 +26,16 @@ if TYPE_CHECKING:
     from authguard_r.integrations.http.clients import Authenticator
 
 
-_RobotOption = Annotated[str | None, typer.Option("--robot", help="Whose gate it is.")]
-_RunOption = Annotated[Path | None, typer.Option("--run", help="The gate's run folder.")]
+_RobotOption = Annotated[str | None, typer.Option("--robot", help="The robot.")]
+_RunOption = Annotated[Path | None, typer.Option("--gate", help="The gate's run folder.")]
 _TrustOption = Annotated[
-    Path | None, typer.Option("--trust", help="The trust folder: the gate proves itself.")
+    Path | None, typer.Option("--trust", help="The trust folder: the gate must prove its identity.")
 ]
 _ListenOption = Annotated[
-    str, typer.Option("--listen", help="HOST:PORT; wider than this machine with TLS alone.")
+    str, typer.Option("--listen", help="HOST:PORT; other than loopback only with TLS.")
 ]
 _BearerOption = Annotated[
-    Path | None, typer.Option("--token-file", help="The bearer token that clients show.")
+    Path | None, typer.Option("--token-file", help="File with the bearer token of the clients.")
 ]
 _TlsCertOption = Annotated[
     Path | None, typer.Option("--tls-cert", help="The server's certificate, PEM.")
@@ -45,28 +45,30 @@ _TlsKeyOption = Annotated[
 ]
 _ClientCertificatesOption = Annotated[
     bool,
-    typer.Option("--client-certificates", help="Clients show a certificate of the trust folder."),
+    typer.Option("--client-certificates", help="Require a client certificate of the trust folder."),
 ]
 _ClientRoleOption = Annotated[
     list[Role] | None,
-    typer.Option("--client-role", help="Which of them may ask; may be repeated."),
+    typer.Option("--client-role", help="Role that may ask; repeatable."),
 ]
 _UrlOption = Annotated[
-    str | None, typer.Option("--url", help="Where clients reach it, if not at HOST:PORT.")
+    str | None, typer.Option("--url", help="URL for clients, if it is not HOST:PORT.")
 ]
 _DisclosureOption = Annotated[
-    Disclosure, typer.Option("--disclosure", help="How much of a refusal is told.")
+    Disclosure, typer.Option("--disclosure", help="How much of a refusal the answer says.")
 ]
 _ProposeOption = Annotated[
-    bool, typer.Option("--propose", help="Calls are carried out too, at /v1/proposals.")
+    bool, typer.Option("--propose", help="Also carry out calls, at /v1/proposals.")
 ]
 _ShadowOption = Annotated[
     bool,
-    typer.Option("--shadow", help="With a gate in shadow mode: always go on, and it notes."),
+    typer.Option("--shadow", help="Shadow mode: always permit; the gate records its decision."),
 ]
-_ClientOption = Annotated[str, typer.Option("--client", help="Its name in the gate's log.")]
+_ClientOption = Annotated[
+    str, typer.Option("--client", help="Name of this service in the gate's log.")
+]
 _OpenapiOption = Annotated[
-    bool, typer.Option("--openapi", help="Print the OpenAPI document, without a gate.")
+    bool, typer.Option("--openapi", help="Print the OpenAPI document and end.")
 ]
 
 
@@ -87,10 +89,10 @@ def serve_command(
     client: _ClientOption = "http",
     openapi: _OpenapiOption = False,
 ) -> int:
-    """Answer over HTTP what the gate would decide: OpenID AuthZEN, for enforcement points.
+    """Answer over HTTP what the gate would decide (OpenID AuthZEN).
 
-    A permit is advice: it uses nothing up and holds for no time. What is to be held to it is
-    carried out by the gate (`--propose`).
+    A permit is advice: it consumes nothing and it expires immediately. With `--propose` the gate
+    also carries out what it permits.
     """
     from authguard_r.client.reconnecting import GatePlace
     from authguard_r.integrations.http import process
@@ -100,7 +102,7 @@ def serve_command(
         sys.stdout.write(process.openapi(propose=propose).decode() + "\n")
         return 0
     if robot is None or run is None or trust is None:
-        raise typer.BadParameter("expected --robot, --run and --trust", param_hint="--robot")
+        raise typer.BadParameter("expected --robot, --gate and --trust", param_hint="--robot")
     if shadow and propose:
         text = "a gate in shadow mode carries nothing out"
         raise typer.BadParameter(text, param_hint="--propose")

@@ -13,17 +13,23 @@ from msgspec import to_builtins
 from authguard_r.audit.record import NONE
 from authguard_r.cli.ask import confirm_shown
 from authguard_r.cli.gateway import GateOption, ReadingRole, connected
-from authguard_r.cli.inputs import JsonFlag, gate_robot, wall_now
+from authguard_r.cli.inputs import JsonFlag, TrustOption, gate_robot, wall_now
 from authguard_r.cli.offline import CounterOption, OfflineStore, offline
-from authguard_r.cli.orders import ORDER_MS, CertOption, KeyOption, RobotOption
-from authguard_r.cli.signing_key import PassphraseFile, open_signer, require_role
+from authguard_r.cli.orders import ORDER_MS, RobotOption
+from authguard_r.cli.signing_key import (
+    CertOption,
+    OrderKeyOption,
+    PassphraseFile,
+    require_role,
+    signer_of,
+)
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.identifiers import Digest, MissionId
 from authguard_r.core.mission import DataClass
 from authguard_r.core.token import sign_object
 from authguard_r.enforcement.management.shredding import ROLES
 from authguard_r.enforcement.signed_orders import Command, Verb
-from authguard_r.keys.signer import FileSigner, folder_signer
+from authguard_r.keys.signer import FileSigner
 from authguard_r.site.source import convert
 from authguard_r.wire.output import emit
 
@@ -32,35 +38,34 @@ _DEMO = "site-authority-1"
 
 
 def shred_command(
-    mission: Annotated[
-        str, typer.Argument(help="The mission, or `-` for the records that are of none.")
-    ],
+    mission: Annotated[str, typer.Argument(help="The mission; `-`: records of no mission.")],
     data: Annotated[
-        list[DataClass], typer.Option("--class", help="What is destroyed; may be repeated.")
+        list[DataClass], typer.Option("--class", help="Class of data to destroy; repeatable.")
     ],
-    trust: Annotated[Path, typer.Option("--trust", help="The trust folder (`keys init`).")],
+    trust: TrustOption,
     gate: GateOption = None,
     store: Annotated[
-        Path | None, typer.Option("--store", help="The robot's store, where no gate runs.")
+        Path | None, typer.Option("--store", help="The robot's store, if no gate runs.")
     ] = None,
     site: Annotated[
-        Path | None, typer.Option("--site", help="The site model; needed with --store.")
+        Path | None, typer.Option("--site", help="The site model; required with --store.")
     ] = None,
     robot: RobotOption = None,
     counter: CounterOption = None,
-    key: KeyOption = None,
+    key: OrderKeyOption = None,
     cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask; for scripts.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask (for scripts).")] = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Destroy sealed fields of a log for good: keys and boxes, in this store, for every reader.
+    """Destroy sealed fields of a log: their keys and their contents, for every reader.
 
-    The chain stays whole, and a record says who ordered it. What was copied before, a backup or an
-    export, is not reached: its readers open it as ever, so destroy those copies, too.
+    The chain stays complete, and a record names who ordered it. Copies that were made before, such
+    as backups and exports, stay readable: destroy them too.
     """
     classes = tuple(sorted(set(data)))
-    signer = _signer(trust, key, cert, passphrase_file)
+    signer = signer_of(_DEMO, trust, key, cert, passphrase_file)
+    require_role(signer, ROLES, trust)
     if not yes:
         confirm_shown(_lines(mission, classes), "Destroy them?", as_json=as_json)
     if store is None:
@@ -93,18 +98,6 @@ def _offline(
             pass
     plain: dict[str, Any] = to_builtins(done)
     return plain
-
-
-def _signer(
-    trust: Path, key: Path | None, cert: Path | None, passphrase_file: Path | None
-) -> FileSigner:
-    if key is None and cert is None:
-        return folder_signer(trust, _DEMO)
-    if key is None or cert is None:
-        raise typer.BadParameter("--key and --cert go together", param_hint="--key")
-    signer = open_signer(key, cert, passphrase_file)
-    require_role(signer, ROLES, trust)
-    return signer
 
 
 def _signed(

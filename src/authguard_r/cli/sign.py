@@ -28,7 +28,14 @@ from authguard_r.cli.mission_files import (
     read_unverified,
     warn,
 )
-from authguard_r.cli.signing_key import PassphraseFile, open_signer, require_role
+from authguard_r.cli.signing_key import (
+    CertOption,
+    KeyOption,
+    PassphraseFile,
+    certificate_of,
+    open_signer,
+    require_role,
+)
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import RefusedError
 from authguard_r.core.identifiers import Digest
@@ -44,24 +51,28 @@ from authguard_r.wire.output import emit
 
 _NO_SITE = "name the site with --site: nobody signs what was not shown"
 
-IssuerKey = Annotated[Path, typer.Option("--key", help="The issuer's key.")]
-IssuerCert = Annotated[Path, typer.Option("--cert", help="The key's certificate chain.")]
 ShownSite = Annotated[
     Path | None,
-    typer.Option("--site", help="The site, to show card and lint; only --yes goes without."),
+    typer.Option(
+        "--site",
+        envvar="AUTHGUARD_SITE",
+        help="The site model, for card and findings; only --yes works without.",
+    ),
 ]
 AcceptOption = Annotated[
     list[str] | None,
-    typer.Option("--accept", help="A lint error to sign nevertheless; may be repeated."),
+    typer.Option("--accept", help="Code of an error to accept; repeatable."),
 ]
 SignerTrust = Annotated[
     Path | None,
-    typer.Option("--trust", help="The trust folder (default: the one that --cert lies in)."),
+    typer.Option(
+        "--trust",
+        envvar="AUTHGUARD_TRUST",
+        help="The trust folder (default: the folder of --cert).",
+    ),
 ]
-TokenOut = Annotated[Path | None, typer.Option("--out", help="Where to write the token.")]
-YesOption = Annotated[
-    bool, typer.Option("--yes", help="Do not ask; recorded as confirmed by a script.")
-]
+TokenOut = Annotated[Path | None, typer.Option("--out", help="File for the token.")]
+YesOption = Annotated[bool, typer.Option("--yes", help="Do not ask; the record says `script`.")]
 
 
 class SignerView(Struct, frozen=True, kw_only=True):
@@ -90,8 +101,8 @@ class Agreed(Struct, frozen=True, kw_only=True):
 
 def sign_command(
     mission: Annotated[Path, typer.Argument(help="A mission as `compile` wrote it.")],
-    key: IssuerKey,
-    cert: IssuerCert,
+    key: KeyOption,
+    cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     site: ShownSite = None,
     accept: AcceptOption = None,
@@ -100,10 +111,10 @@ def sign_command(
     yes: YesOption = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show the card, ask, and sign. The structure is signed, never the sentence."""
+    """Show the card, ask, and sign. The signature covers the structure, not the sentence."""
     require_shown(site, yes=yes)
     opened, signer = read_unverified(mission), open_signer(key, cert, passphrase_file)
-    require_issuer(opened, signer, trust_folder_of(trust, cert))
+    require_issuer(opened, signer, trust_folder_of(trust, certificate_of(key, cert)))
     reading = _read(opened, site)
     accepted = accepted_codes(accept or [], reading)
     if unaccepted := reading.unaccepted(accepted):

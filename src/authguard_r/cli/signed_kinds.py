@@ -21,8 +21,7 @@ from authguard_r.keys.trust import Trust, read_file, read_trust
 from authguard_r.wire.output import emit
 
 T = TypeVar("T")
-CertOption = Annotated[Path, typer.Option("--cert", help="The key's certificate chain.")]
-OutOption = Annotated[Path | None, typer.Option("--out", help="Where to write the token.")]
+OutOption = Annotated[Path | None, typer.Option("--out", help="File for the token.")]
 YesOption = Annotated[bool, typer.Option("--yes", help="Do not ask.")]
 TrustChoice = Annotated[Path | None, typer.Option("--trust", help="The trust folder.")]
 

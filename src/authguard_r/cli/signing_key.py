@@ -16,9 +16,31 @@ from authguard_r.core.identifiers import PrincipalId
 from authguard_r.core.reasons import Reason
 from authguard_r.keys.certificate import Leaf, LeafClaims, read_claims
 from authguard_r.keys.key_access import open_named, read_passphrase
-from authguard_r.keys.signer import FileSigner, Passphrase, SigningKey, certified
+from authguard_r.keys.signer import FileSigner, Passphrase, SigningKey, certified, folder_signer
 from authguard_r.keys.trust import read_trust
 
+#: How the files of a key, its certificates and its request end, beside each other.
+KEY_END, CERTIFICATE_END, REQUEST_END = ".key.pem", ".cert.pem", ".request.json"
+
+KeyOption = Annotated[
+    Path,
+    typer.Option("--key", envvar="AUTHGUARD_KEY", help="Your private key: a file, or `pkcs11:`."),
+]
+#: The key of an order that the demonstration's own people may give, too.
+OrderKeyOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--key",
+        envvar="AUTHGUARD_KEY",
+        help="Your private key (default: the key in a demonstration's trust folder).",
+    ),
+]
+CertOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--cert", envvar="AUTHGUARD_CERT", help="The key's certificates (default: beside the key)."
+    ),
+]
 PassphraseFile = Annotated[
     Path | None,
     typer.Option(
@@ -28,12 +50,51 @@ PassphraseFile = Annotated[
 ]
 
 
-def open_signer(key: Path, cert: Path, passphrase_file: Path | None = None) -> FileSigner:
+def certificate_of(key: Path, cert: Path | None) -> Path:
+    """Return the file of a key's certificates: the one that was named, else the one beside it.
+
+    Raises:
+        typer.BadParameter: none was named, and the key's name does not say which it is.
+    """
+    if cert is not None:
+        return cert
+    if str(key).startswith("pkcs11:") or not key.name.endswith(KEY_END):
+        text = f"name it: only for a key file NAME{KEY_END} it is NAME{CERTIFICATE_END} beside it"
+        raise typer.BadParameter(text, param_hint="--cert")
+    return key.with_name(key.name.removesuffix(KEY_END) + CERTIFICATE_END)
+
+
+def signer_of(
+    person: str,
+    trust: Path,
+    key: Path | None,
+    cert: Path | None,
+    passphrase_file: Path | None = None,
+) -> FileSigner:
+    """Return who signs an order: the key that was named, else a person of a demonstration.
+
+    Args:
+        person: whose key of the trust folder it is, where none was named.
+        trust: the trust folder.
+        key: as `open_signer`.
+        cert: as `open_signer`.
+        passphrase_file: as `open_signer`.
+    """
+    if key is not None:
+        return open_signer(key, cert, passphrase_file)
+    if cert is not None:
+        raise typer.BadParameter("needs --key", param_hint="--cert")
+    return folder_signer(trust, person)
+
+
+def open_signer(
+    key: Path, cert: Path | None = None, passphrase_file: Path | None = None
+) -> FileSigner:
     """Return the signer of a `--key`: a file or a hardware key.
 
     Args:
         key: a file, or a `pkcs11:` URI.
-        cert: the certificate chain.
+        cert: the certificate chain; None: beside the key.
         passphrase_file: where the passphrase or PIN is; None: a person at the terminal says it,
             if one is needed. Never an argument and never the environment: others can read both.
 
@@ -42,7 +103,7 @@ def open_signer(key: Path, cert: Path, passphrase_file: Path | None = None) -> F
         MalformedError: a sealed file, a URI or a passphrase file is damaged.
         AuthenticityError: the key does not open or is not its certificate's.
     """
-    return certified(open_keys(key, passphrase_file), cert)
+    return certified(open_keys(key, passphrase_file), certificate_of(key, cert))
 
 
 def require_role(signer: FileSigner, roles: frozenset[str], trust: Path | None) -> PrincipalId:

@@ -24,7 +24,7 @@ from authguard_r.cli.inputs import (
     text_of,
     wall_now,
 )
-from authguard_r.cli.signing_key import PassphraseFile, open_signer
+from authguard_r.cli.signing_key import CertOption, KeyOption, PassphraseFile, open_signer
 from authguard_r.core.errors import MalformedError
 from authguard_r.keys.files import write_whole
 from authguard_r.keys.trust import read_file, read_trust
@@ -39,24 +39,29 @@ from authguard_r.site.model import (
 )
 from authguard_r.site.names import shown
 from authguard_r.site.places import adjacent
-from authguard_r.site.signed import read_signed_site, sign_site
+from authguard_r.site.signed import is_token, read_signed_site, sign_site
+from authguard_r.site.source import as_text, schema_faults
 from authguard_r.wire.output import emit
 
-app = typer.Typer(help="The site model: what every word of a mission means.", no_args_is_help=True)
-import_app = typer.Typer(help="A draft site from another program's file.", no_args_is_help=True)
-app.add_typer(import_app, name="import")
 SiteArgument = Annotated[Path, typer.Argument(help="The site model (YAML, or a signed token).")]
 ForeignArgument = Annotated[Path, typer.Argument(help="The file to import.")]
 OutOption = Annotated[Path, typer.Option("--out", help="Where to write the site (YAML).")]
 IdOption = Annotated[
     str | None, typer.Option("--id", help="The site's id (default: from the file's name).")
 ]
-FloorOption = Annotated[int, typer.Option("--floor", help="The floor that the file shows.")]
+FloorOption = Annotated[int, typer.Option("--floor", help="The floor.")]
 
 
-@app.command("check")
-def check(site: SiteArgument, as_json: JsonFlag = False) -> int:
-    """Name every fault of a site model with its place."""
+def check_command(site: SiteArgument, as_json: JsonFlag = False) -> int:
+    """Check a site model and print every fault with its place."""
+    data = read_file(site)
+    found = () if is_token(data) else schema_faults(as_text(data, where=str(site)), where=str(site))
+    if found:
+        where = f"{site}:{found[0].where}"
+        first = {"code": "MALFORMED", "message": found[0].message, "where": where}
+        told = {"error": first, "faults": [msgspec.to_builtins(fault) for fault in found]}
+        emit(told, [f"{fault.where}: {fault.message}" for fault in found], as_json=as_json)
+        return 4
     model = claimed_site(site)
     found, left = faults(model), unreviewed(model)
     payload = {
@@ -75,15 +80,14 @@ def check(site: SiteArgument, as_json: JsonFlag = False) -> int:
     return 4 if found else 0
 
 
-@app.command("show")
-def show(
+def show_command(
     site: SiteArgument,
     svg: Annotated[
-        Path | None, typer.Option("--svg", help="Also draw the map into this file.")
+        Path | None, typer.Option("--svg", help="File for a drawing of the map.")
     ] = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show regions, objects, robots and words of a site model."""
+    """Show regions, objects, robots and names of a site model."""
     model = load_site(site)
     if svg is not None:
         write_whole(svg, picture(model).encode("utf-8"))
@@ -103,13 +107,12 @@ def show(
     return 0
 
 
-@app.command("diff")
-def diff(
-    old: Annotated[Path, typer.Argument(help="The site as it was.")],
-    new: Annotated[Path, typer.Argument(help="The site as it is to be.")],
+def diff_command(
+    old: Annotated[Path, typer.Argument(help="The old version.")],
+    new: Annotated[Path, typer.Argument(help="The new version.")],
     as_json: JsonFlag = False,
 ) -> int:
-    """Show what a new version changes, what changes the meaning of a word first (exit 1)."""
+    """Show what a new version changes, changed meanings of names first (exit 1)."""
     before, after = load_site(old), load_site(new)
     found = changes(before, after)
     payload = {
@@ -121,16 +124,15 @@ def diff(
     return 1 if found else 0
 
 
-@app.command("sign")
-def sign(
+def sign_command(
     site: SiteArgument,
-    key: Annotated[Path, typer.Option("--key", help="The site authority's key.")],
-    cert: Annotated[Path, typer.Option("--cert", help="The key's certificate chain.")],
+    key: KeyOption,
+    cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Where to write the token.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="File for the token.")] = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Sign a site model that has no faults and nothing unreviewed."""
+    """Sign a site model. It must have no fault and no `unreviewed` entry."""
     model = load_site(site)
     token = sign_site(model, open_signer(key, cert, passphrase_file), where=str(site))
     target = out or site.with_suffix(".token")
@@ -140,14 +142,13 @@ def sign(
     return 0
 
 
-@app.command("verify")
-def verify(
+def verify_command(
     token: Annotated[Path, typer.Argument(help="A signed site model.")],
     trust: TrustOption,
     now: NowOption = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Check certificate, signature and soundness of a signed site, and say whose it is."""
+    """Verify certificate and signature of a site model, check it, and print who signed it."""
     opened = read_signed_site(
         read_file(token), verifier=read_trust(trust), now=wall_now(now), where=str(token)
     )
@@ -168,18 +169,17 @@ def verify(
     return 0
 
 
-@import_app.command("scene-graph")
-def scene_graph(
+def scene_graph_command(
     file: ForeignArgument,
     out: OutOption,
     radius: Annotated[
-        str, typer.Option("--radius", help="Half the side of a region's square, meters.")
+        str, typer.Option("--radius", help="Half the side of a region's square, in meters.")
     ] = "0.5",
     site_id: IdOption = None,
     floor: FloorOption = 0,
     as_json: JsonFlag = False,
 ) -> int:
-    """Draft a site from a scene graph (JSON: regions, objects, connections)."""
+    """Draft a site model from a scene graph (JSON: regions, objects, connections)."""
     proposal = import_scene(
         text_of(read_file(file), str(file)),
         site=_id(site_id, file),
@@ -190,18 +190,17 @@ def scene_graph(
     return _written(proposal, file, out, as_json=as_json)
 
 
-@import_app.command("nav2-map")
-def nav2_map(
+def nav2_map_command(
     file: ForeignArgument,
     out: OutOption,
     min_area: Annotated[
-        str, typer.Option("--min-area", help="Free space that is smaller is left out, m2.")
+        str, typer.Option("--min-area", help="Ignore free space below this area, in m2.")
     ] = "1",
     site_id: IdOption = None,
     floor: FloorOption = 0,
     as_json: JsonFlag = False,
 ) -> int:
-    """Draft a site from a map server's map (YAML and PGM)."""
+    """Draft a site model from a map server's map (YAML and PGM)."""
     proposal = import_map(
         file,
         site=_id(site_id, file),

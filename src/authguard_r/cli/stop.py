@@ -37,23 +37,24 @@ def stop_command(
         StoppingRole | None,
         typer.Option("--role", help="The role to stop as (default: the first that you may be)."),
     ] = None,
-    why: Annotated[str, typer.Option("--why", help="For the log; decides nothing.")] = "",
+    why: Annotated[str, typer.Option("--reason", help="A text for the log.")] = "",
     store: Annotated[
-        Path | None, typer.Option("--store", help="Stop a store's mission; no gate is reached.")
+        Path | None, typer.Option("--store", help="Record the stop in a store; no gate is called.")
     ] = None,
     trust: Annotated[Path | None, typer.Option("--trust", help="The trust folder.")] = None,
     site: Annotated[Path | None, typer.Option("--site", help="The site model.")] = None,
-    robot: Annotated[str | None, typer.Option("--robot", help="Which gate, for --store.")] = None,
+    robot: Annotated[str | None, typer.Option("--robot", help="The robot, with --store.")] = None,
     counter: CounterOption = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Brake and hold, through the stop process and the gate; with --store, only record it there.
+    """Stop the robot now, through the gate and through the process that only serves stops.
 
-    It asks on until one of them confirms that the robot stands; Ctrl-C gives up. It gives up by
-    itself when a controller was told to stop and does not confirm it within 10 s, or when none is
-    connected for 5 s. An operator's stop suspends the active mission until a signed `resume`.
-    Without --role it is the first of operator, auditor, planner and estimator that this user may
-    be. Exit 5 says that no controller confirmed that the robot stands.
+    The command repeats the stop until one of them confirms that the robot stands; Ctrl-C ends it.
+    It ends by itself when a controller does not confirm within 10 s, or when no controller is
+    connected for 5 s: exit 5. An operator's stop suspends the active mission until a signed
+    `resume`. Without --role, the command uses the first role of operator, auditor, planner and
+    estimator that you have. With --store it only records the stop in a store that no gate has
+    open.
     """
     if store is not None:
         if gate is not None or trust is None or site is None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`authguard stop-lane`: the process that serves stops and nothing else."""
+"""`authguard advanced stop-process`: the process that serves stops and nothing else."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from authguard_r.wire.output import emit
 
 
 def stop_lane_command(
-    run: Annotated[Path, typer.Option("--run", help="The run folder, with the sockets.")],
-    robot: Annotated[str, typer.Option("--robot", help="Whose lane it is.")],
+    run: Annotated[Path, typer.Option("--gate", help="The gate's run folder.")],
+    robot: Annotated[str, typer.Option("--robot", help="The robot.")],
     trust: TrustOption,
     key: Annotated[Path, typer.Option("--key", help="The gate's own key.")],
     cert: Annotated[Path, typer.Option("--cert", help="The gate's certificate.")],
     config: Annotated[Path, typer.Option("--config", help="The signed gate configuration.")],
     as_json: JsonFlag = False,
 ) -> int:
-    """Serve RUN/stop.sock until SIGTERM; a gate starts one itself where none serves.
+    """Serve RUN/stop.sock until SIGTERM. A gate starts this process itself if none serves.
 
-    Trust, key and configuration are read once: a change of them takes a new lane.
+    Trust folder, key and configuration are read once, at the start.
     """
     from authguard_r.estop.files import EStopFiles
     from authguard_r.estop.startup import EStopReady, run_stop_process

@@ -33,20 +33,9 @@ from authguard_r.cli.inputs import (
 )
 from authguard_r.cli.mission_files import beside_token, lint_json, payload_of, warn
 from authguard_r.cli.offline import CounterOption, NewOption, OfflineStore
-from authguard_r.cli.orders import (
-    ORDER_MS,
-    CertOption,
-    KeyOption,
-    RobotOption,
-    StoreOption,
-    alone,
-    managed,
-    signer_of,
-)
+from authguard_r.cli.orders import ORDER_MS, RobotOption, StoreOption, alone, managed
 from authguard_r.cli.sign import (
     AcceptOption,
-    IssuerCert,
-    IssuerKey,
     ShownSite,
     SignerTrust,
     SignerView,
@@ -60,7 +49,15 @@ from authguard_r.cli.sign import (
     trust_folder_of,
     write_signed,
 )
-from authguard_r.cli.signing_key import PassphraseFile, open_signer
+from authguard_r.cli.signing_key import (
+    CertOption,
+    KeyOption,
+    OrderKeyOption,
+    PassphraseFile,
+    certificate_of,
+    open_signer,
+    signer_of,
+)
 from authguard_r.core.encoding import Tag, b64, decode, digest_of
 from authguard_r.core.identifiers import Digest, MissionId
 from authguard_r.core.mission import Mission
@@ -81,7 +78,6 @@ from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.site.source import read_text, read_yaml
 from authguard_r.wire.output import emit
 
-app = typer.Typer(help="Missions that are signed once and filled many times.", no_args_is_help=True)
 TemplateFile = Annotated[Path, typer.Argument(help="A template, compiled or signed.")]
 SignedTemplate = Annotated[Path, typer.Argument(help="A signed template.")]
 
@@ -102,15 +98,14 @@ def template_digest(template: Template) -> Digest:
     return digest_of(Tag.TEMPLATE, template)
 
 
-@app.command("compile")
 def compile_command(
     draft: Annotated[Path, typer.Argument(help="A template draft (YAML).")],
     site: SiteOption,
-    out: Annotated[Path | None, typer.Option("--out", help="Where to write it.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="File to write.")] = None,
     now: NowOption = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Turn a draft with holes into the canonical template, or ask what is open (exit 3)."""
+    """Compile a draft with holes to a template, or print the questions that are open (exit 3)."""
     plain = read_yaml(read_text(draft), where=str(draft))
     template = compile_template(plain, load_site(site), now=wall_now(now))
     target = out or draft.with_suffix(".template.json")
@@ -121,9 +116,8 @@ def compile_command(
     return 0
 
 
-@app.command("review")
 def review_command(template: TemplateFile, site: SiteOption, as_json: JsonFlag = False) -> int:
-    """Show the card: every hole with all its values, and every mission that they make."""
+    """Show the card: every hole with all its values, and every mission that results."""
     opened = read_template(template)
     missions = every_mission(opened)
     reading = _read(opened, missions, site)
@@ -138,11 +132,10 @@ def review_command(template: TemplateFile, site: SiteOption, as_json: JsonFlag =
     return 0
 
 
-@app.command("sign")
 def sign_command(
     template: Annotated[Path, typer.Argument(help="A template as `compile` wrote it.")],
-    key: IssuerKey,
-    cert: IssuerCert,
+    key: KeyOption,
+    cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     site: ShownSite = None,
     accept: AcceptOption = None,
@@ -151,11 +144,11 @@ def sign_command(
     yes: YesOption = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show every mission of it, ask once, and sign. Every combination is held to the schema."""
+    """Show every mission of a template, ask once, and sign. Every combination must be valid."""
     require_shown(site, yes=yes)
     opened, signer = read_template(template), open_signer(key, cert, passphrase_file)
     missions = every_mission(opened)
-    require_issuer(missions[0], signer, trust_folder_of(trust, cert))
+    require_issuer(missions[0], signer, trust_folder_of(trust, certificate_of(key, cert)))
     reading = _read(opened, missions, site)
     accepted = accepted_codes(accept or [], reading)
     if unaccepted := reading.unaccepted(accepted):
@@ -194,9 +187,8 @@ def _read(template: Template, missions: tuple[Mission, ...], site: Path | None) 
     return SignerView(card=card, findings=lint_template(missions, model))
 
 
-@app.command("show")
 def show_command(template: TemplateFile, as_json: JsonFlag = False) -> int:
-    """Print what a template says, without any claim that it is authentic."""
+    """Print the template in a token. The signature is not verified."""
     opened = read_template(template)
     payload: dict[str, Any] = {
         "template": msgspec.to_builtins(opened),
@@ -211,15 +203,16 @@ def show_command(template: TemplateFile, as_json: JsonFlag = False) -> int:
     return 0
 
 
-@app.command("issue")
 def issue_command(
     template: SignedTemplate,
     trust: TrustOption,
     name: Annotated[str, typer.Option("--name", help="The scheduler's name.")] = "scheduler-1",
-    days: Annotated[int, typer.Option("--days", help="How long it may fill.", min=1)] = 30,
+    days: Annotated[
+        int, typer.Option("--days", help="Days that the certificate is valid.", min=1)
+    ] = 30,
     as_json: JsonFlag = False,
 ) -> int:
-    """Write a scheduler's key and a certificate that is bound to this template (demo folder)."""
+    """Make a scheduler's key and a certificate that is bound to this template (demonstration)."""
     at = wall_now(None)
     held = open_template(
         read_file(template), verifier=read_trust(trust), now=at, roles=ISSUER_ROLES
@@ -235,7 +228,6 @@ def issue_command(
     return 0
 
 
-@app.command("admit")
 def admit_command(
     template: SignedTemplate,
     trust: TrustOption,
@@ -246,7 +238,7 @@ def admit_command(
     new: NewOption = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Let a robot take a signed template in; its scheduler may fill it from then on."""
+    """Give the gate a signed template; from then on its scheduler may fill it in."""
     data, beside = read_file(template), beside_token(template)
     said = read_file(beside) if beside.exists() else None
     if said is None:
@@ -259,20 +251,19 @@ def admit_command(
     return _manage(place, act, as_json=as_json)
 
 
-@app.command("withdraw")
 def withdraw_command(
     template: SignedTemplate,
     trust: TrustOption,
     site: SiteOption,
     store: StoreOption,
-    key: KeyOption = None,
+    key: OrderKeyOption = None,
     cert: CertOption = None,
     passphrase_file: PassphraseFile = None,
     robot: RobotOption = None,
     counter: CounterOption = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """End a template for good, signed: no mission of it any more, the active one included."""
+    """End a template with a signed order; all its missions end, the active one too."""
     opened = read_template(template)
     signer = signer_of(opened.mission["issuer"], trust, key, cert, passphrase_file)
     command = Command(

@@ -30,7 +30,9 @@ T = TypeVar("T")
 ReaderOption = Annotated[
     Path | None,
     typer.Option(
-        "--reader", metavar="KEYFILE", help="A reader's key: opens what was sealed for it."
+        "--reader",
+        metavar="KEYFILE",
+        help="A reader's key: opens the fields that are sealed for it.",
     ),
 ]
 

@@ -14,6 +14,7 @@ from typing import Annotated, Any
 
 import typer
 
+from authguard_r.authoring.compile.request import headlines
 from authguard_r.cli.gateway import (
     CLIENT,
     GATE_SOCKET,
@@ -24,7 +25,7 @@ from authguard_r.cli.gateway import (
     socket_in,
 )
 from authguard_r.cli.inputs import JsonFlag
-from authguard_r.cli.operate import status_lines
+from authguard_r.cli.status_lines import has_requests, status_lines
 from authguard_r.client import AsyncGateClient
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.keys.trust import read_trust
@@ -33,6 +34,8 @@ from authguard_r.wire.output import emit, printed
 
 #: The last event of a gate that ends by itself; one that is killed says nothing.
 ENDED = "end"
+#: Events that tell no person anything, unless they look for them.
+_NOISE = frozenset({"client"})
 #: How many events the live view keeps, and how often it asks for the status, in seconds.
 _SHOWN, _EVERY_S = 15, 1.0
 
@@ -41,22 +44,27 @@ def watch_command(
     gate: GateOption = None,
     role: RoleOption = ReadingRole.OPERATOR,
     trust: ProofOption = None,
-    jsonl: Annotated[bool, typer.Option("--jsonl", help="One event a line, as JSON.")] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", help="Show clients that connect and leave, too.")
+    ] = False,
+    jsonl: Annotated[bool, typer.Option("--jsonl", help="One JSON object for each event.")] = False,
     count: Annotated[
-        int | None, typer.Option("--count", help="Leave after so many events.", min=1)
+        int | None, typer.Option("--count", help="End after this number of events.", min=1)
     ] = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Show what happens at a gate until interrupted: live at a terminal, else line by line.
+    """Show decisions, requests and alerts at a gate until you interrupt it.
 
-    With --json all events come at the end, as one object.
+    At a terminal this is a live view, else one line for each event. With --json all events are
+    printed at the end, as one object. JSON output has every event.
     """
     seen: list[dict[str, Any]] = []
+    hidden = frozenset[str]() if verbose or jsonl or as_json else _NOISE
     is_live = sys.stdout.isatty() and not (jsonl or as_json)
     take = seen.append if as_json else _print_json if jsonl else _print_line
     path = socket_in(gate, GATE_SOCKET)
     with suppress(KeyboardInterrupt):
-        asyncio.run(_watch(path, role, trust, count, None if is_live else take))
+        asyncio.run(_watch(path, role, trust, count, None if is_live else take, hidden))
     if as_json:
         emit({"events": seen}, (), as_json=True)
     return 0
@@ -68,60 +76,75 @@ async def _watch(
     trust: Path | None,
     count: int | None,
     take: Callable[[dict[str, Any]], None] | None,
+    hidden: frozenset[str],
 ) -> None:
     verifier = None if trust is None else read_trust(trust)
     async with await AsyncGateClient.connect(
         path, role=ClientRole(role), client=CLIENT, verifier=verifier, allow_shadow=True
     ) as client:
         if take is None:
-            await _live(client, count)
+            await _live(client, count, hidden)
         else:
-            await _follow(client, count, take)
+            await _follow(client, count, take, hidden)
 
 
 async def _follow(
-    client: AsyncGateClient, count: int | None, take: Callable[[dict[str, Any]], None]
+    client: AsyncGateClient,
+    count: int | None,
+    take: Callable[[dict[str, Any]], None],
+    hidden: frozenset[str],
 ) -> None:
     left = count
     async for event in await client.watch():
+        if event.get("event") in hidden:
+            continue
         take(event)
         left = None if left is None else left - 1
         if left == 0 or event.get("event") == ENDED:
             return
 
 
-async def _live(client: AsyncGateClient, count: int | None) -> None:
+async def _live(client: AsyncGateClient, count: int | None, hidden: frozenset[str]) -> None:
     """Draw status and last events over each other, as fast as they come."""
     from rich.live import Live
     from rich.text import Text
 
     events: deque[str] = deque(maxlen=_SHOWN)
-    status = await client.status()
+    status, requests = await client.status(), list[str]()
     with Live(Text(""), auto_refresh=False) as view:
 
         def draw() -> None:
-            view.update(Text(printed("\n".join(picture(status, events)))), refresh=True)
+            view.update(Text(printed("\n".join(picture(status, events, requests)))), refresh=True)
 
         def take(event: dict[str, Any]) -> None:
             events.append(event_line(event))
             draw()
 
+        requests = await _requests(client, status)
         draw()
-        following = asyncio.ensure_future(_follow(client, count, take))
+        following = asyncio.ensure_future(_follow(client, count, take, hidden))
         try:
             while not following.done():
                 await asyncio.wait({following}, timeout=_EVERY_S)
                 if not following.done():
                     status = await client.status()
+                    requests = await _requests(client, status)
                     draw()
             await following
         finally:
             following.cancel()
 
 
-def picture(status: dict[str, Any], events: Iterable[str]) -> list[str]:
+async def _requests(client: AsyncGateClient, status: dict[str, Any]) -> list[str]:
+    """Return the open approval requests, a line each."""
+    return headlines(await client.approvals()) if has_requests(status) else []
+
+
+def picture(
+    status: dict[str, Any], events: Iterable[str], requests: Iterable[str] = ()
+) -> list[str]:
     """Return the live view: how things stand, then what happened last."""
-    return [*status_lines(status), "", *events]
+    return [*status_lines(status, requests), "", *events]
 
 
 def event_line(event: dict[str, Any]) -> str:

@@ -13,11 +13,6 @@ import typer
 from authguard_r.cli.inputs import JsonFlag, wall_now
 from authguard_r.wire.output import emit
 
-app = typer.Typer(
-    help="A witness: cosigns a log's checkpoints, each only when it follows from the last.",
-    no_args_is_help=True,
-)
-
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The witness's folder.")]
 
 
@@ -28,24 +23,25 @@ class WitnessAlgorithm(StrEnum):
     ML_DSA_44 = "ml-dsa-44"
 
 
-@app.command("init")
 def init_command(
     folder: Folder,
     name: Annotated[
-        str, typer.Option("--name", help="What it signs as: a URL without `https://`, say.")
+        str, typer.Option("--name", help="Name of the witness, such as a URL without `https://`.")
     ],
     algorithm: Annotated[
-        WitnessAlgorithm, typer.Option("--algorithm", help="What it signs with.")
+        WitnessAlgorithm, typer.Option("--algorithm", help="Signature algorithm.")
     ] = WitnessAlgorithm.ED25519,
     mark: Annotated[
         Path | None,
-        typer.Option("--mark", help="The mark's file, on another medium (default: in DIR)."),
+        typer.Option(
+            "--mark", help="File of the change counter, on another medium (default: in DIR)."
+        ),
     ] = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Make a witness with a new key, in a new folder; prints its verifier key.
+    """Create a witness with a new key in a new folder; print its verifier key.
 
-    Do it as the user that will serve it, and let no gate run as that user.
+    Run this as the user that will serve it. No gate may run as that user.
     """
     from authguard_r.keys.algorithms import Algorithm
     from authguard_r.witness.service import make_witness
@@ -56,22 +52,21 @@ def init_command(
     return 0
 
 
-@app.command("add")
 def add_command(
     folder: Folder,
     log: Annotated[
         list[str],
-        typer.Option("--log", metavar="VKEY", help="A verifier key of the log; of a hybrid each."),
+        typer.Option("--log", metavar="VKEY", help="A verifier key of the log; repeatable."),
     ],
     replace: Annotated[
         bool,
-        typer.Option("--replace", help="Replace the keys of a known log; it goes on from there."),
+        typer.Option("--replace", help="Replace the keys of a known log; its history continues."),
     ] = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Register a log by its verifier keys (`authguard audit key`), which all have to sign.
+    """Register a log by its verifier keys (`authguard audit key`). All of them must sign.
 
-    From a trusted source, not over the network. No witness may serve meanwhile.
+    Get the keys from a trusted source, not over the network. Stop the witness first.
     """
     from authguard_r.witness.service import register
 
@@ -83,15 +78,14 @@ def add_command(
     return 0
 
 
-@app.command("forget")
 def forget_command(
     folder: Folder,
     origin: Annotated[str, typer.Argument(metavar="ORIGIN", help="The log's name.")],
     as_json: JsonFlag = False,
 ) -> int:
-    """Forget a log: what was cosigned of it may be contradicted once it is registered anew.
+    """Remove a log. Once it is registered again, the witness may cosign another history of it.
 
-    For one case: the robot's operator accepted a restored store. It stays in the list of acts.
+    Use it only after the robot's operator accepted a restored store. The list of acts keeps it.
     """
     from authguard_r.witness.service import forget
 
@@ -101,9 +95,8 @@ def forget_command(
     return 0
 
 
-@app.command("show")
 def show_command(folder: Folder, as_json: JsonFlag = False) -> int:
-    """Show what a witness knows, what it refused, and what operators did; also while it serves."""
+    """Show the logs of a witness, refused requests and acts of operators, also while it serves."""
     from authguard_r.witness.state import read_acts, read_evidence, read_folder
 
     sight = read_folder(folder)
@@ -126,22 +119,26 @@ def show_command(folder: Folder, as_json: JsonFlag = False) -> int:
     return 0
 
 
-@app.command("serve")
 def serve_command(
     folder: Folder,
     listen: Annotated[
-        str, typer.Option("--listen", metavar="ADDRESS:PORT", help="Where; port 0: any.")
+        str,
+        typer.Option(
+            "--listen", metavar="ADDRESS:PORT", help="ADDRESS:PORT; port 0: any free port."
+        ),
     ] = "127.0.0.1:0",
     behind_tls: Annotated[
         bool,
-        typer.Option("--behind-tls", help="Take an address that a proxy with TLS comes from."),
+        typer.Option(
+            "--behind-tls", help="Allow an address that is not loopback, behind a TLS proxy."
+        ),
     ] = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Answer `POST /add-checkpoint` until SIGTERM; its journal goes to standard error.
+    """Answer `POST /add-checkpoint` until SIGTERM; the journal goes to standard error.
 
-    Does not start when others can read or write the folder, when another process serves it, or
-    when its files are gone or older than they were.
+    It does not start when other users can read or write the folder, when another process serves
+    it, or when its files are missing or older than they were.
     """
     from authguard_r.integrations.http_listener.access import listening
     from authguard_r.wire.json_log import Lines

@@ -76,7 +76,7 @@ def shown(question: Question) -> ShownRequest:
     scope, situation = question.scope_bytes, question.situation_bytes
     if scope is None or situation is None:
         raise RefusedError(
-            "what was asked cannot be told any more; it can only run out",
+            "the request cannot be shown any more; wait until it expires",
             reason=Reason.STORE_CORRUPT,
             where=f"request {question.counter}",
         )
@@ -117,7 +117,7 @@ def signed_answer(
     """
     if verdict is ApprovalVerdict.DENY and not why.strip():
         raise RefusedError(
-            "whoever denies says why: the next person and the log need it",
+            "a denial needs a reason, for the next person and for the log",
             reason=Reason.FIELD_MISSING,
             where="why",
         )

@@ -134,7 +134,7 @@ def _require_proof(welcome: Welcome, verifier: GateVerifier, *, nonce: str, now:
     """Require a signature over the nonce by the key whose certificate names this very robot."""
     if welcome.proof is None:
         raise AuthenticityError(
-            "the gate did not prove that it holds its key",
+            "the gate did not prove its identity",
             reason=Reason.SIGNATURE_INVALID,
             where="welcome.proof",
         )

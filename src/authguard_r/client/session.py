@@ -319,7 +319,7 @@ def done_of(act: OrderKind, said: dict[str, Any]) -> dict[str, Any]:
     called = _CALLED.get(act, "standing")
     done = said.get(called)
     if not isinstance(done, dict):
-        raise MalformedError("expected what became of the order", where=f"body.{called}")
+        raise MalformedError("expected the result of the order", where=f"body.{called}")
     return done
 
 

@@ -229,5 +229,5 @@ class EStopConnection(asyncio.Protocol):
 
 def _unstarted(why: str) -> EnvironmentFault:
     return EnvironmentFault(
-        f"the stop lane does not serve: {why}", reason=Reason.STORE_UNAVAILABLE, where="stop lane"
+        f"the stop process does not serve: {why}", reason=Reason.STORE_UNAVAILABLE, where="stop"
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The stop process as its gate starts it: the same process as `authguard stop-lane`, sooner.
+"""The stop process as its gate starts it, sooner than `authguard advanced stop-process`.
 
 The one argument is a `EStopFiles` as JSON; the first line printed says that it serves, or why not.
 Spec page: docs/spec/gate-protocol.md#stop-lane

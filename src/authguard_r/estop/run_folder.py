@@ -104,7 +104,7 @@ def end_stop_process(run: Path) -> None:
                     break
     if is_served(run / SOCKET):
         raise EnvironmentFault(
-            "a stop lane serves here and does not end: end it",
+            "a stop process serves here and does not end: end it",
             reason=Reason.STORE_UNAVAILABLE,
             where=str(run / PID),
         )
@@ -209,13 +209,13 @@ def _listen(path: Path) -> socket.socket:
 
 def _taken(path: Path) -> EnvironmentFault:
     return EnvironmentFault(
-        "a stop lane serves here already", reason=Reason.STORE_UNAVAILABLE, where=str(path)
+        "a stop process serves here already", reason=Reason.STORE_UNAVAILABLE, where=str(path)
     )
 
 
 def _unusable(error: OSError, path: Path) -> EnvironmentFault:
     return EnvironmentFault(
-        f"the stop lane cannot serve here: {error.strerror or error}",
+        f"the stop process cannot serve here: {error.strerror or error}",
         reason=Reason.STORE_UNAVAILABLE,
         where=str(path),
     )

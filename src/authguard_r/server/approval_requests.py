@@ -79,9 +79,10 @@ class OpenQuestions:
         self._gate.enforcer.inputs.refresh()  # whether a request is current, newest state says
         said = self._gate.ledger.run(job)
         if counter is not None and not said.requests:
+            known = ", ".join(str(one.counter) for one in self.told(None).requests) or "none"
             raise RefusedError(
-                f"no open request has the number {counter}",
-                reason=Reason.APPROVAL_TIMEOUT,
+                f"no open request has the number {counter}; open: {known}",
+                reason=Reason.VALUE_OUT_OF_RANGE,
                 where="counter",
             )
         return said

@@ -62,7 +62,7 @@ def explanation(
         )
     except (AttributeError, LookupError, StopIteration, TypeError, ValueError) as error:
         raise MalformedError(
-            f"expected what such a record holds: {error}", where=f"record {seq}"
+            f"expected the fields of such a record: {error}", where=f"record {seq}"
         ) from error
     return {"seq": seq, **told}
 

@@ -17,9 +17,10 @@ from authguard_r.anchoring.growth import counted
 from authguard_r.audit.record import read_record, read_sealed
 from authguard_r.core.encoding import b64
 from authguard_r.core.errors import AuthGuardError
-from authguard_r.core.identifiers import Digest
+from authguard_r.core.identifiers import Digest, VariableId
 from authguard_r.core.mission import Mission
 from authguard_r.core.ports import Turn
+from authguard_r.enforcement.json_views import report_json
 from authguard_r.enforcement.leases import quietly
 from authguard_r.enforcement.report import Report
 from authguard_r.server.active_mission import ActiveMission
@@ -31,6 +32,9 @@ from authguard_r.server.wiring import Gate
 from authguard_r.store.transactions import stop_stands
 from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import ClientRole
+
+#: What an estimator says that the robot holds.
+_HOLDING = VariableId("holding")
 
 
 class GateQueries:
@@ -70,6 +74,7 @@ class GateQueries:
         self._since_ms = gate.ledger.mono_ms()
         self.counted: Counter[str] = Counter()
         self.stops = 0
+        self._refused: tuple[int, Report] | None = None
         self._free_bytes = free_bytes
         self._estop_alive = stop_process_alive
         self._emergency = emergency
@@ -89,8 +94,12 @@ class GateQueries:
         }
 
     def count_decision(self, report: Report) -> None:
-        """Count a decision, or a plan that could not be read."""
-        verdict = "reject" if report.judged is None else str(report.judged.decision.verdict)
+        """Count a decision, or a plan that could not be read, and remember the last refusal."""
+        judged = report.judged
+        verdict = "reject" if judged is None else str(judged.decision.verdict)
+        unsafe = judged is not None and judged.safety is not None and not judged.safety.safe
+        if unsafe or verdict == "reject":
+            self._refused = (self._gate.ledger.mono_ms(), report)
         self.counted[f"decision.{verdict}"] += 1
         self.mission.changed()
 
@@ -108,6 +117,8 @@ class GateQueries:
             "mode": str(self._config.mode),
             "uptime_ms": self.uptime_ms,
             "mission": self.mission.shown(),
+            **self._robot(now_ms),
+            "last_refusal": self._refusal(now_ms),
             "issued": self.mission.issued,
             "damaged": self.mission.damaged,
             "leases": [
@@ -228,6 +239,25 @@ class GateQueries:
             )
         except AuthGuardError:
             return None  # revoked since, or gone: the record is explained without a change
+
+    def _robot(self, now_ms: int) -> dict[str, Any]:
+        """Return where the robot is, what it holds, and how long ago the estimator said so."""
+        state = self._gate.enforcer.inputs.newest
+        if state is None:
+            return {"place": None, "holding": None, "state_age_ms": None}
+        held = state.snapshot.readings.get(_HOLDING)
+        return {
+            "place": sorted(state.place),
+            "holding": None if held is None else held.value,
+            "state_age_ms": now_ms - state.arrived_mono_ms,
+        }
+
+    def _refusal(self, now_ms: int) -> dict[str, Any] | None:
+        """Return the last refused proposal since the start, and the number of its record."""
+        if self._refused is None:
+            return None
+        at_ms, report = self._refused
+        return {"record": report.seq, "ago_ms": now_ms - at_ms, **report_json(report)}
 
     def _disk(self) -> dict[str, int] | None:
         """Return what the store's disk has left, and what is kept back of it; None: unknown."""

@@ -67,7 +67,7 @@ def replayed_step(
         }
     except (KeyError, IndexError, TypeError, ZeroDivisionError, ValueError) as error:
         raise StoreError(
-            f"the record cannot be told again: {error}",
+            f"the answer cannot be repeated from its record: {error}",
             where=f"record {link.seq}",
             reason=Reason.STORE_CORRUPT,
         ) from error

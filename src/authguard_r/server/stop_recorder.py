@@ -25,9 +25,9 @@ from authguard_r.wire.gate_limits import LIMITS
 from authguard_r.wire.messages import SUSPENDING, ClientRole, Stop, StopHeard
 
 #: What is said while no stop is heard of.
-_GONE = "the stop lane is gone"
+_GONE = "the stop process is gone"
 #: What is said while the stop process is connected and does not answer.
-_SILENT = "the stop lane does not answer"
+_SILENT = "the stop process does not answer"
 
 
 class _ReportedStop(Struct, frozen=True, kw_only=True):

@@ -6,17 +6,16 @@ How-to: docs/howto/site.md
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
-
-from msgspec import Struct
 
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import is_identifier
-from authguard_r.site.check import faults
-from authguard_r.site.model import ActionModel, ObjectModel, Person, Region, Robot, Site
+from authguard_r.site.check import SiteFault, faults
+from authguard_r.site.model import Site
 from authguard_r.site.names import shown
 from authguard_r.site.sources import require_source_words
-from authguard_r.site.strict import as_text, convert, read_text, read_yaml, require_each
+from authguard_r.site.strict import as_text, convert, read_text, read_yaml
 from authguard_r.site.words import with_words
 
 __all__ = [
@@ -29,14 +28,8 @@ __all__ = [
     "require_sound",
 ]
 
-#: The parts of a site that hold things by id, with what each thing is.
-_GROUPS: tuple[tuple[str, type[Struct]], ...] = (
-    ("regions", Region),
-    ("objects", ObjectModel),
-    ("robots", Robot),
-    ("vocabulary", ActionModel),
-    ("people", Person),
-)
+#: The parts of a site that hold things by id.
+_GROUPS = ("regions", "objects", "robots", "vocabulary", "people")
 
 
 def parse_site(text: str, *, where: str) -> Site:
@@ -49,16 +42,61 @@ def parse_site(text: str, *, where: str) -> Site:
     Raises:
         MalformedError: not a site model, or `words` that the standard vocabulary does not have.
     """
+    return _site_of(with_words(read_yaml(text, where=where), where=where), where=where)
+
+
+def schema_faults(text: str, *, where: str) -> tuple[SiteFault, ...]:
+    """Return the schema faults of a YAML text, at most one for each entry; none: it has none.
+
+    Args:
+        text: what an author wrote.
+        where: the file's name, for places in messages.
+
+    Raises:
+        MalformedError: not YAML, or a fault outside of entries: nothing else can be looked at.
+    """
     data = with_words(read_yaml(text, where=where), where=where)
-    for group, kind in _GROUPS:
-        _require_things(data, group, kind, where=where)
+    found: list[SiteFault] = []
+    while True:
+        try:
+            _site_of(data, where=where)
+        except MalformedError as error:
+            place = error.where.removeprefix(f"{where}:")
+            if not _without(data, place):
+                raise
+            found.append(SiteFault(place, error.message))
+        else:
+            return tuple(found)
+
+
+def _without(data: object, place: str) -> bool:
+    """Remove the entry of a group that a place is in; return whether there was one."""
+    group = re.match(r"\w+", place)
+    if group is None or not isinstance(data, dict):
+        return False
+    entries, rest = data.get(group[0]), place[group.end() :]
+    number = re.match(r"\[(\d+)\]", rest)
+    if isinstance(entries, list) and number is not None:
+        del entries[int(number[1])]
+        return True
+    names = entries if isinstance(entries, dict) else {}
+    inside = [n for n in names if re.match(rf"\.{re.escape(str(n))}(?=$|[.\[])", rest)]
+    for name in sorted(inside, key=len)[-1:]:
+        del names[name]
+    return bool(inside)
+
+
+def _site_of(data: object, *, where: str) -> Site:
+    """Return plain data as a site model, sound or not."""
+    for group in _GROUPS:
+        _require_ids(data, group, where=where)
     if isinstance(data, dict) and "sources" in data:
         require_source_words(data["sources"], where=f"{where}:sources")
     return convert(data, Site, where=where)
 
 
-def _require_things(data: object, group: str, kind: type[Struct], *, where: str) -> None:
-    """Raise for the first invalid thing of a group, naming it: thirty regions look alike."""
+def _require_ids(data: object, group: str, *, where: str) -> None:
+    """Require that the names in a group are ids; raise for the first one that is none."""
     things = data.get(group) if isinstance(data, dict) else None
     for item in things if isinstance(things, dict) else ():
         if not isinstance(item, str) or not is_identifier(item):
@@ -66,7 +104,6 @@ def _require_things(data: object, group: str, kind: type[Struct], *, where: str)
                 f"expected an id of a-z, 0-9 and `_.:-`, got `{shown(str(item))}`",
                 where=f"{where}:{group}",
             )
-    require_each(data, group, kind, where=where)
 
 
 def require_sound(site: Site, *, where: str) -> Site:

@@ -151,29 +151,7 @@ def convert(data: object, kind: type[T], *, where: str) -> T:
     try:
         return msgspec.convert(data, kind)
     except msgspec.ValidationError as error:
-        text, _, place = str(error).partition(" - at ")
-        place = place.rpartition(" in ")[2]  # a key's fault is reported as "`key` in `$.place`"
-        place = place.strip("`").removeprefix("$").removeprefix(".")
-        joined = f"{where}:{place}" if place else where
-        raise MalformedError(text[:1].lower() + text[1:], where=joined) from error
+        from authguard_r.site.fault_places import fault_of
 
-
-def require_each(data: object, group: str, kind: type[msgspec.Struct], *, where: str) -> None:
-    """Require each thing of a group, by its name, to be one: thirty of them look alike.
-
-    Args:
-        data: plain data, of which one field is the group.
-        group: the field's name.
-        kind: what each thing is.
-        where: the file's name, for places in messages.
-
-    Raises:
-        MalformedError: with the name of the first invalid thing, and the place in it.
-    """
-    things = data.get(group) if isinstance(data, dict) else None
-    for name, value in things.items() if isinstance(things, dict) else ():
-        try:
-            convert(value, kind, where="")
-        except MalformedError as error:
-            inner = error.where.replace(":", ".", 1)
-            raise MalformedError(error.message, where=f"{where}:{group}.{name}{inner}") from error
+        text, place = fault_of(data, kind, error)
+        raise MalformedError(text, where=f"{where}:{place}" if place else where) from error

@@ -241,7 +241,7 @@ class SqliteStore:
     def _require_reserve(self) -> None:
         if self._reserve.is_gone:
             raise StoreError(
-                "the disk is full: what is left is kept for outcomes, stops and management",
+                "the disk is full: the rest is reserved for outcomes, stops and management",
                 where="store",
                 reason=Reason.STORE_FULL,
             )

@@ -141,7 +141,7 @@ class ReadMeter:
         self._left -= sum(map(len, cells))
         if self._left < 0:
             raise StoreError(
-                "the store is corrupt: it gives more than it holds",
+                "the store is corrupt: it returns more than it contains",
                 where=str(self._path),
                 reason=Reason.STORE_CORRUPT,
             )

@@ -116,7 +116,7 @@ def hold(path: Path) -> int:
     except OSError as error:
         os.close(file)
         raise EnvironmentFault(
-            "another process holds this folder: end the witness that serves it first",
+            "another process uses this folder: end the witness that serves it first",
             reason=Reason.STORE_UNAVAILABLE,
             where=str(path),
         ) from error

@@ -284,7 +284,7 @@ def test_a_card_for_a_site_that_knows_nothing_of_it_still_says_what_is_signed() 
     foreign = SET(mission, rid="stranger", regions=("moon",), objects=())
     card = "\n".join(review(foreign, scenarios.site()))
     assert "nobody can say whom it asks" in card
-    assert "nothing that this robot can do" in card
+    assert "Robot stranger is not in this site" in card
     assert "only with objects: none" in card
     assert "only in regions: moon" in card
     row = SET(mission.actions[0].alternatives[0], object="ghost", regions=("moon",))

@@ -252,7 +252,7 @@ def test_an_irreversible_grant_and_a_robot_of_another_site_are_shown() -> None:
     assert any("IRREVERSIBLE" in line for line in review(mission, scenarios.site()))
     foreign = SET(mission, rid="stranger")
     assert any(
-        "nothing that this robot can do" in line for line in review(foreign, scenarios.site())
+        "Robot stranger is not in this site" in line for line in review(foreign, scenarios.site())
     )
     odd = SET(mission, actions=(SET(mission.actions[0], type="dance"), *mission.actions[1:]))
     assert review(odd, scenarios.site())

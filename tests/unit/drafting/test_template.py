@@ -161,6 +161,13 @@ def test_rights_that_the_sentence_settles_are_not_asked_for() -> None:
     assert asked_about(asked, "send") == ["condition"]
 
 
+@pytest.mark.parametrize("more", ["", " within 1 h"])
+def test_in_ten_minutes_may_be_the_begin_or_the_end_and_is_asked_about(more: str) -> None:
+    asked = propose(f"go to station 101 in 10 minutes{more}", given={})
+    (question,) = [one for one in asked.questions if one.field == "window"]
+    assert question.question.startswith("`in 10 minutes` may be the begin or the end. How long")
+
+
 @pytest.mark.parametrize(
     "sentence",
     [

@@ -306,7 +306,7 @@ def test_a_machine_without_an_authority_s_key_signs_no_list(auth: Path) -> None:
     for path in (auth / "keys").iterdir():
         path.unlink()
     error = refused(auth, lambda: renew_lists(auth, now=TODAY, days=3), EnvironmentFault)
-    assert "holds no authority's private key" in error.message
+    assert "has no authority's private key" in error.message
 
 
 # an answer that nobody gets

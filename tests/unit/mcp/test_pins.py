@@ -60,7 +60,7 @@ def test_all_that_a_server_says_of_a_tool_is_kept(said: dict[str, object]) -> No
 def test_older_pins_are_refused_with_what_helps(tmp_path: Path) -> None:
     path = tmp_path / "pins.json"
     path.write_bytes(b'{"schema": "authguard-r/mcp-tools/1", "tools": []}')
-    with pytest.raises(MalformedError, match="authguard mcp-tools --out"):
+    with pytest.raises(MalformedError, match="authguard advanced mcp-tools --out"):
         read_pins(path)
 
 

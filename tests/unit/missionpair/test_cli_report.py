@@ -32,8 +32,8 @@ from missionpair.report.compare import NAMED, Verdicts, verdict_of
 from missionpair.report.compare import compare as compare_of
 
 app = typer.Typer(add_completion=False)
-app.command("report")(cli_report.report)
-app.command("compare")(cli_report.compare)
+app.command("report")(cli_report.report_command)
+app.command("compare")(cli_report.compare_command)
 
 
 def call(*words: object) -> int:

@@ -31,8 +31,8 @@ from missionpair.records import NamedPart, Trial
 from missionpair.words import TrialKind
 
 app = typer.Typer(add_completion=False)
-app.command("require")(cli_require.require)
-app.command("report")(cli_report.report)
+app.command("require")(cli_require.require_command)
+app.command("report")(cli_report.report_command)
 
 UNAUTHORIZED = "attacks with an unauthorized action"
 COMPLETED, REFUSED = "benign runs completed (BTCR)", "benign runs refused (FRR)"

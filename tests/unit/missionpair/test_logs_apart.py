@@ -18,9 +18,9 @@ from missionpair.measures.apart import why_not_apart
 from missionpair.records import NamedPart, Qualified, Trial
 
 app = typer.Typer(add_completion=False)
-app.command("require")(cli_require.require)
-app.command("report")(cli_report.report)
-app.command("compare")(cli_report.compare)
+app.command("require")(cli_require.require_command)
+app.command("report")(cli_report.report_command)
+app.command("compare")(cli_report.compare_command)
 
 
 def call(*words: object) -> int:

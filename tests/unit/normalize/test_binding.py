@@ -251,30 +251,30 @@ def test_data_that_is_no_binding_is_malformed_in_its_place() -> None:
         (lambda: {**plain(), "extra": 1}, "binding"),
         (lambda: {**plain(), "id": "Courier Tools"}, "binding:id"),
         (lambda: {k: v for k, v in plain().items() if k != "tools"}, "binding"),
-        (lambda: changed("scan", kind="scan"), "binding:tools[...]"),
-        (lambda: changed("scan", attested=["destination"]), "binding:tools[...].attested[0]"),
-        (lambda: changed("scan", attested="source"), "binding:tools[...].attested"),
-        (lambda: changed("scan", fixed={"x": 1.5}), "binding:tools[...].fixed[...]"),
-        (lambda: changed("scan", fixed={"x": True}), "binding:tools[...].fixed[...]"),
-        (lambda: changed("scan", fixed={"x": "Dock"}), "binding:tools[...].fixed[...]"),
+        (lambda: changed("scan", kind="scan"), "binding:tools.scan"),
+        (lambda: changed("scan", attested=["destination"]), "binding:tools.scan.attested[0]"),
+        (lambda: changed("scan", attested="source"), "binding:tools.scan.attested"),
+        (lambda: changed("scan", fixed={"x": 1.5}), "binding:tools.scan.fixed.x"),
+        (lambda: changed("scan", fixed={"x": True}), "binding:tools.scan.fixed.x"),
+        (lambda: changed("scan", fixed={"x": "Dock"}), "binding:tools.scan.fixed.x"),
         (
             lambda: argument("wait", "seconds", use="ignored"),
-            "binding:tools[...].arguments[...].use",
+            "binding:tools.wait.arguments.seconds.use",
         ),
         (
             lambda: argument("wait", "seconds", optional=1),
-            "binding:tools[...].arguments[...].optional",
+            "binding:tools.wait.arguments.seconds.optional",
         ),
         (
             lambda: argument("wait", "seconds", default=0.5),
-            "binding:tools[...].arguments[...].default",
+            "binding:tools.wait.arguments.seconds.default",
         ),
         (
             lambda: argument("wait", "seconds", per_unit=1000),
-            "binding:tools[...].arguments[...].per_unit",
+            "binding:tools.wait.arguments.seconds.per_unit",
         ),
-        (lambda: argument("wait", "seconds", unit="s"), "binding:tools[...].arguments[...]"),
-        (lambda: argument("wait", "why", to=""), "binding:tools[...].arguments[...]"),
+        (lambda: argument("wait", "seconds", unit="s"), "binding:tools.wait.arguments.seconds"),
+        (lambda: argument("wait", "why", to=""), "binding:tools.wait.arguments.why"),
     ]:
         with case(data, where):
             with pytest.raises(MalformedError) as caught:

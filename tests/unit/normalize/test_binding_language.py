@@ -249,7 +249,7 @@ def test_a_fault_within_one_of_several_ways_is_named_with_its_number() -> None:
 
 def test_a_tool_of_no_ways_is_no_tool() -> None:
     where, _ = fault([])
-    assert where == "binding:tools[...]"
+    assert where == "binding:tools.go"
 
 
 @pytest.mark.parametrize("name", ["g\u00f6", "\u0455top"])

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import typer
 
 from authguard_r.authoring.binding.samples import Sampler, probe_site
-from authguard_r.cli import binding as command
+from authguard_r.cli.app import program
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault, MalformedError
 from authguard_r.normalize.bind import Binder
 from authguard_r.normalize.binding import Binding, ways
@@ -37,7 +36,7 @@ def test_a_shipped_name_is_compared_exactly_and_else_is_a_path(tmp_path: Path) -
 
 
 def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
-    code = command.app(args=list(words), standalone_mode=False)
+    code = program().commands["binding"](args=list(words), standalone_mode=False)
     assert isinstance(code, int)
     return code, capsys.readouterr().out
 
@@ -151,7 +150,9 @@ def test_an_interface_without_a_tool_is_refused_since_it_would_show_nothing(
     folder.mkdir()
     for place in (none, folder):
         with pytest.raises(MalformedError) as caught:
-            command.app(args=["check", "nav2", "--interface", str(place)], standalone_mode=False)
+            program().commands["binding"](
+                args=["check", "nav2", "--interface", str(place)], standalone_mode=False
+            )
         assert caught.value.where == str(place)
 
 
@@ -196,9 +197,8 @@ def test_bad_input_is_an_error_with_a_place_and_no_traceback(tmp_path: Path) -> 
         ["show", "nav2", "--site", str(scenarios.HOSPITAL / "site.yaml")],
     ):
         with pytest.raises(AuthGuardError) as caught:
-            command.app(args=words, standalone_mode=False)
+            program().commands["binding"](args=words, standalone_mode=False)
         assert caught.value.where
-    assert isinstance(command.app, typer.Typer)
 
 
 def test_the_page_of_shipped_bindings_is_true() -> None:

@@ -124,14 +124,19 @@ def test_the_launch_file_starts_scripts_that_there_are_with_the_words_of_the_nod
     source = (NODES / "node.py").read_text(encoding="utf-8")
     required = constants()["REQUIRED"]
     assert isinstance(required, dict)
-    assert required.keys() == {"map", "run", "site", "binding", "trust"}
-    asked = set(re.findall(r'add_argument\("--(\w+)", (?:type=Path, )?required=True', source))
+    assert required.keys() == {"map", "gate", "site", "binding", "trust"}
+    asked = set(
+        re.findall(
+            r'add_argument\(\s*"--(\w+)", (?:"--run", dest="run", )?(?:type=Path, )?required=True',
+            source,
+        )
+    )
     assert asked == required.keys()
     source = (NODES / "estimator.py").read_text(encoding="utf-8")
     (names,) = re.findall(r"for name in \((.*)\):\n +asks.add_argument\(f\"--\{name\}\"", source)
     given = constants()["ATTESTS"]
     assert isinstance(given, tuple)
-    assert {*ast.literal_eval(f"({names},)")} == {*given, "key", "cert"}
+    assert {"gate", *ast.literal_eval(f"({names},)")} == {*given, "key", "cert"}
     # no words of ROS, which `launch_ros` would add
     assert calls("Node") == calls("LifecycleNode") == []
 
@@ -178,4 +183,4 @@ def test_launch_understands_the_file(monkeypatch: pytest.MonkeyPatch) -> None:
     spec.loader.exec_module(module)
     arguments = module.generate_launch_description().get_launch_arguments()
     needed = {one.name for one in arguments if one.default_value is None}
-    assert needed == {"map", "run", "site", "binding", "trust"}
+    assert needed == {"map", "gate", "site", "binding", "trust"}

@@ -123,7 +123,7 @@ def test_a_key_of_another_user_is_a_refusal(made: Path, tmp_path: Path) -> None:
     keystore = Path(shutil.copytree(made, tmp_path / "keystore"))
     os.chown(home(keystore, GATE) / KEY, 65_534, 65_534)
     (fault,) = security_faults(example(), GATE, environment(keystore))
-    assert "this user owns" in fault.message
+    assert "only its owner" in fault.message
 
 
 def test_a_process_of_another_user_is_looked_at_as_that_user(made: Path) -> None:

@@ -253,7 +253,7 @@ def test_a_stop_that_nobody_confirmed_is_over_once_a_later_one_is_confirmed() ->
 
 
 def test_a_lane_is_silent_or_gone_and_neither_once_it_answers() -> None:
-    silent, gone = "the stop lane does not answer", "the stop lane is gone"
+    silent, gone = "the stop process does not answer", "the stop process is gone"
     with DemoGate(robot=False) as house:
         lane = house.service.stops
         house.do(partial(lane.stop_process_silent, is_silent=False))

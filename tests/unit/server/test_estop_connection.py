@@ -23,7 +23,7 @@ def files() -> EStopFiles:
 def test_a_run_folder_whose_path_is_too_long_is_said_as_the_lane_says_it(files: EStopFiles) -> None:
     long = files.run / ("x" * 100)
     long.mkdir()
-    with pytest.raises(EnvironmentFault, match="the stop lane does not serve: ") as fault:
+    with pytest.raises(EnvironmentFault, match="the stop process does not serve: ") as fault:
         start_stop_process(replace(files, run=long))
     assert "{'" not in fault.value.message
     assert str(long) in fault.value.message
@@ -42,6 +42,6 @@ def test_a_run_folder_whose_path_is_too_long_is_said_as_the_lane_says_it(files: 
 def test_a_lane_that_ends_at_once_is_a_fault_in_words(program: str, told: str) -> None:
     words = [sys.executable, "-c", program]
     process = subprocess.Popen(words, stdout=subprocess.PIPE)
-    with pytest.raises(EnvironmentFault, match=f"does not serve: {told} at `stop lane`$"):
+    with pytest.raises(EnvironmentFault, match=f"does not serve: {told} at `stop`$"):
         _ready(process)
     assert process.poll() is not None

@@ -33,7 +33,7 @@ def test_the_answer_to_an_order_is_taken_under_its_own_name() -> None:
     assert done_of(OrderKind.REVOCATIONS, {"revocations": {}}) == {}
     assert done_of(OrderKind.COMMAND, {"standing": {}}) == {}
     for said in ({}, {"standing": {}}, {"accepted": 3}):
-        with pytest.raises(MalformedError, match="what became of the order"):
+        with pytest.raises(MalformedError, match="the result of the order"):
             done_of(OrderKind.ACCEPT_STORE, said)
 
 

@@ -285,12 +285,12 @@ def test_a_lane_that_is_lost_is_an_alert_with_why() -> None:
         house.do(partial(house.service.stops.stop_process_silent, is_silent=False))  # it is back
         house.do(lambda: house.service.stops.stop_process_lost(fault))
         alerts = list(house.service.liveness.alerts)
-        assert [alert["what"] for alert in alerts] == ["the stop lane is gone"] * 2
+        assert [alert["what"] for alert in alerts] == ["the stop process is gone"] * 2
         assert [alert.get("over", False) for alert in alerts] == [True, False]
         assert "gone" in alerts[1]["why"]
         house.do(silent)
         recorded = [record.open["what"] for record in house.log("alert")]
-        assert recorded[-1] == "the stop lane does not answer"
+        assert recorded[-1] == "the stop process does not answer"
 
 
 # who gets nowhere, and who is silent

@@ -19,7 +19,7 @@ from missionpair.words import TrialKind
 def list_command(
     suite: Annotated[
         str,
-        typer.Argument(help="Of this suite alone: what a planner is asked, one question a line."),
+        typer.Argument(help="Print the questions of this suite, one in each line."),
     ] = "",
     kind: KindOption = None,
     rounds: RoundsOption = None,
@@ -29,7 +29,7 @@ def list_command(
 ) -> int:
     """List suites, planners, attackers and defenses, or the questions of one suite.
 
-    The questions are those of the attacker `fixed`: ask them of a model of your own, and read its
+    The questions are those of the attacker `fixed`. Ask them to your own model, and read its
     answers with `missionpair import`.
     """
     if suite:

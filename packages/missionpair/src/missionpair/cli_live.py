@@ -12,7 +12,7 @@ import typer
 
 from missionpair import attackers, planners, registry
 from missionpair.campaign.run import CampaignPlan, run
-from missionpair.cli_report import report
+from missionpair.cli_report import report_command
 from missionpair.cli_run import JobsOption, shown, summary_of
 from missionpair.words import CONTROLS, Access, TrialKind
 
@@ -20,7 +20,7 @@ from missionpair.words import CONTROLS, Access, TrialKind
 ROUNDS = 3
 _Defenses = Annotated[
     list[str] | None,
-    typer.Option("--defense", help="none, both ...; may be repeated. `both` if absent."),
+    typer.Option("--defense", help="none, both ...; repeatable (default: both)."),
 ]
 
 
@@ -28,30 +28,28 @@ def live_command(
     out: Annotated[Path, typer.Argument(help="A folder for logs, page, CSV and LaTeX.")],
     planner: Annotated[
         list[str] | None,
-        typer.Option("--planner", help="A model, as `run` takes it; may be repeated."),
+        typer.Option("--planner", help="A model, as in `run`; repeatable."),
     ] = None,
-    rounds: Annotated[int, typer.Option("--rounds", min=1, help="An attacker's tries.")] = ROUNDS,
+    rounds: Annotated[int, typer.Option("--rounds", min=1, help="Rounds of an attack.")] = ROUNDS,
     every: Annotated[
-        int, typer.Option("--every", min=1, help="Take every so many-th of the 60 pairs.")
+        int, typer.Option("--every", min=1, help="Use only every N-th of the 60 pairs.")
     ] = 1,
     pairs: Annotated[
-        int | None, typer.Option("--pairs", min=1, help="How many of them; all if absent.")
+        int | None, typer.Option("--pairs", min=1, help="Number of pairs (default: all).")
     ] = None,
     benign: Annotated[
-        bool, typer.Option("--benign", help="Ask for benign runs and updates, too.")
+        bool, typer.Option("--benign", help="Also run benign trials and updates.")
     ] = False,
     defense: _Defenses = None,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Of all dice.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the random numbers.")] = 0,
     jobs: JobsOption = 1,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object, nothing else.")
-    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> int:
     """Run fixed and adaptive attacks on each model, and write the paper's tables.
 
     Each model is its own adaptive attacker, and a fixed text is strengthened round by round, as in
     the paper. Without `--planner`: the paper's two, Claude Haiku 4.5 (needs ANTHROPIC_API_KEY) and
-    Qwen2.5 7B over Ollama. A second start goes on where the first was ended.
+    Qwen2.5 7B over Ollama. A second start continues the first.
     """
     specs = tuple(dict.fromkeys(planner or ("haiku", "qwen")))
     _require(specs)
@@ -113,4 +111,4 @@ def _report(logs: list[Path], out: Path, *, quiet: bool) -> int:
     from io import StringIO
 
     with redirect_stdout(StringIO() if quiet else sys.stdout):
-        return report(logs, html=out / "report.html", csv=out / "csv", latex=out / "latex")
+        return report_command(logs, html=out / "report.html", csv=out / "csv", latex=out / "latex")

@@ -26,19 +26,15 @@ _BENIGN = 24
 def mutate_command(
     suite: Annotated[str, typer.Argument(help="A suite's name, or the path of its file.")],
     most: Annotated[
-        int, typer.Option("--most", min=1, help="Pairs that are tried at most, of every kind.")
+        int, typer.Option("--most", min=1, help="Number of pairs of each kind, at most.")
     ] = 256,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Write what `report --mutation` reads.")
-    ] = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object, nothing else.")
-    ] = False,
+    out: Annotated[Path | None, typer.Option("--out", help="File for `report --mutation`.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> int:
-    """Take each check out of the gates in turn, and attack: the suite has to notice.
+    """Remove each check of the gates in turn, and attack: the suite must detect it.
 
-    Exit code 1 says that a check is missed by nothing in the suite, or that an attack is carried
-    out with every check in place.
+    Exit 1 when no attack detects that a check is missing, or when an attack succeeds with every
+    check in place.
     """
     whole, digest = suites.load(suite)
     some = slice_of(whole, most=most)

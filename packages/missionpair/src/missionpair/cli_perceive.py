@@ -23,23 +23,20 @@ def perceive_command(
     out: Annotated[Path, typer.Option("--out", help="A new file for the perceived suite.")],
     every: Annotated[
         int,
-        typer.Option("--every", min=1, help="Take every so many-th pair that has one."),
+        typer.Option("--every", min=1, help="Use only every N-th pair."),
     ] = 1,
     pairs: Annotated[
-        int | None, typer.Option("--pairs", min=1, help="How many of them; all if absent.")
+        int | None, typer.Option("--pairs", min=1, help="Number of pairs (default: all).")
     ] = None,
     keep: Annotated[
-        Path | None, typer.Option("--keep", help="A folder for the pictures and the sounds.")
+        Path | None, typer.Option("--keep", help="Folder for pictures and sounds.")
     ] = None,
     jobs: JobsOption = 1,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object, nothing else.")
-    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> int:
-    """Draw each sign and read it, speak each sentence and hear it; write what came of it.
+    """Draw and read each sign, speak and recognize each sentence; write the results as a suite.
 
-    The result is a suite's file for `run`. Pairs without a sign or speech, and pairs in another
-    language than English, are left out.
+    Pairs without a sign or speech, and pairs in other languages than English, are left out.
     """
     if out.exists():
         raise typer.BadParameter("there is such a file already", param_hint="--out")

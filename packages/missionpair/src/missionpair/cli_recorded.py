@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -22,22 +23,17 @@ from missionpair.report.names import printable
 #: What recorded runs are judged by, where nothing else is said.
 DEFENSES = (NONE, "allowlist", "cedar", "both")
 
-imports = typer.Typer(name="import", help="Read what models did elsewhere.", no_args_is_help=True)
 
-
-@imports.command("agentdojo")
-def agentdojo(
+def agentdojo_command(
     source: Annotated[
         Path, typer.Argument(help="agentdojo-0.1.24.tar.gz from PyPI, or a folder of its contents.")
     ],
     out: Annotated[Path, typer.Option("--out", help="A new folder for runs and missions.")],
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object, nothing else.")
-    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> int:
     """Read AgentDojo's runs, and write them with a signed mission for each of its tasks.
 
-    Nothing of the source is executed, and nothing is written outside the new folder.
+    The source is not executed. The command writes only inside the new folder.
     """
     if out.exists():
         raise typer.BadParameter("there is such a folder already", param_hint="--out")
@@ -55,22 +51,20 @@ def agentdojo(
     return 0
 
 
-def _of_form(form: str, text: str) -> None:
-    """Add the command that reads logs of one form."""
+def _of_form(form: str, text: str) -> Callable[..., int]:
+    """Return the command that reads logs of one form."""
 
     def command(
         source: Annotated[Path, typer.Argument(help="The log: one reply a line, as JSON.")],
         out: Annotated[Path, typer.Option("--out", help="A new file of replies.")],
         model: Annotated[
-            str, typer.Option("--model", help="Who answered, if the log is silent.")
+            str, typer.Option("--model", help="The model, if the log does not name it.")
         ] = "",
-        date: Annotated[str, typer.Option("--date", help="When, such as 2026-11-28.")] = "",
+        date: Annotated[str, typer.Option("--date", help="The date, such as 2026-11-28.")] = "",
         suite: Annotated[
-            str, typer.Option("--suite", help="Whose pairs were answered: a name or a file.")
+            str, typer.Option("--suite", help="The suite of the pairs: a name or a file.")
         ] = "",
-        as_json: Annotated[
-            bool, typer.Option("--json", help="Print one JSON object, nothing else.")
-        ] = False,
+        as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
     ) -> int:
         if out.exists():
             raise typer.BadParameter("there is such a file already", param_hint="--out")
@@ -89,32 +83,30 @@ def _of_form(form: str, text: str) -> None:
         return 0
 
     command.__doc__ = text
-    imports.command(form)(command)
+    return command
 
 
-_of_form("steps", "Read replies that are lists of tool and arguments (`steps`).")
-_of_form("openai", "Read replies that are chat completions (`response`).")
-_of_form("mcp", "Read replies that are JSON-RPC requests `tools/call` (`calls`).")
-_of_form("langchain", "Read replies that are LangChain messages (`messages`).")
+steps_command = _of_form("steps", "Read replies that are lists of tool and arguments (`steps`).")
+openai_command = _of_form("openai", "Read replies that are chat completions (`response`).")
+mcp_command = _of_form("mcp", "Read replies that are JSON-RPC requests `tools/call` (`calls`).")
+langchain_command = _of_form("langchain", "Read replies that are LangChain messages (`messages`).")
 
 
 def recorded_command(
-    folder: Annotated[Path, typer.Argument(help="What `missionpair import agentdojo` wrote.")],
+    folder: Annotated[Path, typer.Argument(help="Folder of `missionpair import agentdojo`.")],
     defense: Annotated[
         list[str] | None,
-        typer.Option("--defense", help="none, allowlist, cedar, both ...; may be repeated."),
+        typer.Option("--defense", help="none, allowlist, cedar, both ...; repeatable."),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", help="A new file: every leak and refusal with its cause."),
+        typer.Option("--out", help="File for every leak and refusal with its cause."),
     ] = None,
     jobs: JobsOption = 1,
     ray: RayOption = "",
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object, nothing else.")
-    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> int:
-    """Put every recorded call to each defense, and say which of them would have run."""
+    """Test every recorded call against each defense, and print which of them would have run."""
     if out is not None and out.exists():
         raise typer.BadParameter("there is such a file already", param_hint="--out")
     if out is not None and not out.parent.is_dir():

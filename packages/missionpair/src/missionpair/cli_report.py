@@ -32,30 +32,30 @@ from missionpair.report.compare import compare as compare_of
 from missionpair.report.sheets import records
 from missionpair.report.words import table_lines
 
-JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")]
+JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 PartialFlag = Annotated[
-    bool, typer.Option("--partial", help="Take a campaign that has not come to its end.")
+    bool, typer.Option("--partial", help="Allow a campaign that has not ended.")
 ]
 
 
-def report(
+def report_command(
     logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Logs of campaigns.")],
     html: Annotated[
-        Path | None, typer.Option("--html", help="Write one page that needs nothing.")
+        Path | None, typer.Option("--html", help="File for one HTML page without external parts.")
     ] = None,
     csv: Annotated[
-        Path | None, typer.Option("--csv", help="Write a CSV file for each table here.")
+        Path | None, typer.Option("--csv", help="Folder for one CSV file of each table.")
     ] = None,
     latex: Annotated[
-        Path | None, typer.Option("--latex", help="Write LaTeX in the paper's shapes here.")
+        Path | None, typer.Option("--latex", help="Folder for LaTeX tables as in the paper.")
     ] = None,
     mutation: Annotated[
-        Path | None, typer.Option("--mutation", help="What a mutation run found.")
+        Path | None, typer.Option("--mutation", help="Result of `missionpair mutate`.")
     ] = None,
     partial: PartialFlag = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Rebuild tables and plots from logs; a campaign with another access adds leakage."""
+    """Make tables and plots from logs; a campaign with another access adds leakage."""
     try:
         found = report_of(
             [measured(path, partial=partial) for path in apart(logs)],
@@ -74,14 +74,16 @@ def report(
     return 0
 
 
-def compare(
-    first: Annotated[Path, typer.Argument(metavar="LOG", help="A campaign's log.")],
-    second: Annotated[Path, typer.Argument(metavar="LOG", help="Another campaign's.")],
-    anyway: Annotated[bool, typer.Option("--anyway", help="Also where the suites differ.")] = False,
+def compare_command(
+    first: Annotated[Path, typer.Argument(metavar="LOG", help="Log of a campaign.")],
+    second: Annotated[Path, typer.Argument(metavar="LOG", help="Log of another campaign.")],
+    anyway: Annotated[
+        bool, typer.Option("--anyway", help="Compare different suites, too.")
+    ] = False,
     partial: PartialFlag = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Set two campaigns side by side: set-up, rates with intervals, pairs that changed."""
+    """Compare two campaigns: set-up, rates with intervals, pairs with another verdict."""
     try:
         seen = Verdicts(), Verdicts()
         one = measured(first, partial=partial, seen=seen[0])

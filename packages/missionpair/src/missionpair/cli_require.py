@@ -20,24 +20,24 @@ from missionpair.measures.demands import Demand, demands
 from missionpair.words import TrialKind
 
 
-def require(
+def require_command(
     logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Logs of campaigns.")],
     defense: Annotated[
-        list[str] | None, typer.Option("--defense", help="Of which (both); may be repeated.")
+        list[str] | None, typer.Option("--defense", help="The defense; repeatable (default: both).")
     ] = None,
     kind: Annotated[
         list[TrialKind] | None,
-        typer.Option("--kind", help="Which trials there have to be (all); may be repeated."),
+        typer.Option("--kind", help="Kind of trials; repeatable (default: all)."),
     ] = None,
     tries: Annotated[
         int,
-        typer.Option("--tries", min=0, help="Attacks that each reason code has to have refused."),
+        typer.Option(
+            "--tries", min=0, help="Least number of attacks refused with each reason code."
+        ),
     ] = 0,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object, nothing else.")
-    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> int:
-    """Demand of whole logs: nothing unauthorized was done, and all that was signed was."""
+    """Check that logs meet the demands: no unauthorized action, and every signed action done."""
     try:
         those = [measured(path) for path in apart(logs)]
     except LOG_FAULTS as error:

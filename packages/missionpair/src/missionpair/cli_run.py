@@ -33,24 +33,22 @@ _PlannerOption = Annotated[
     str, typer.Option("--planner", help="The target: name, or name:option=value,...")
 ]
 _OutOption = Annotated[
-    Path, typer.Option("--out", help="The log; one of the same campaign goes on.")
+    Path, typer.Option("--out", help="The log; a log of the same campaign is continued.")
 ]
-_AttackerOption = Annotated[
-    str, typer.Option("--attacker", help="Who writes the inputs, in the same way.")
-]
+_AttackerOption = Annotated[str, typer.Option("--attacker", help="The attacker, as --planner.")]
 _AccessOption = Annotated[
-    Access, typer.Option("--access", help="What the attacker sees of a round.")
+    Access, typer.Option("--access", help="What the attacker sees: black, grey or white box.")
 ]
 _DefenseOption = Annotated[
     list[str] | None,
-    typer.Option("--defense", help="What stands before the robot; may be repeated."),
+    typer.Option("--defense", help="The defense; repeatable."),
 ]
-_SeedsOption = Annotated[int, typer.Option("--seeds", min=1, help="Tries of each pair.")]
-_SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Of all dice.")]
+_SeedsOption = Annotated[int, typer.Option("--seeds", min=1, help="Trials of each pair.")]
+_SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Seed of the random numbers.")]
 RoundsOption = Annotated[
     int | None,
     typer.Option(
-        "--rounds", min=1, max=1_000, help="An attacker's tries; if absent 3 in `live`, else 1."
+        "--rounds", min=1, max=1_000, help="Rounds of an attack (default: 3 in `live`, else 1)."
     ),
 ]
 _TurnsOption = Annotated[
@@ -59,38 +57,38 @@ _TurnsOption = Annotated[
         "--turns",
         min=1,
         max=MOST_TURNS,
-        help="A planner's answers in one round; if absent 30 in `long`, else 1.",
+        help="Turns in one round (default: 30 in `long`, else 1).",
     ),
 ]
 _EveryOption = Annotated[
-    int, typer.Option("--every", min=1, help="Take every so many-th pair of the suite.")
+    int, typer.Option("--every", min=1, help="Use only every N-th pair of the suite.")
 ]
 _PairsOption = Annotated[
-    int | None, typer.Option("--pairs", min=1, help="How many of them; all if absent.")
+    int | None, typer.Option("--pairs", min=1, help="Number of pairs (default: all).")
 ]
 KindOption = Annotated[
-    list[TrialKind] | None, typer.Option("--kind", help="Kinds of trial; all if absent.")
+    list[TrialKind] | None, typer.Option("--kind", help="Kind of trial; repeatable (default: all).")
 ]
 _WeightsOption = Annotated[
     str,
-    typer.Option("--weights", help="Of the score: lambda 1 to 5, thousandths above zero."),
+    typer.Option("--weights", help="Weights of the score: lambda 1 to 5, in thousandths."),
 ]
 _WeightOption = Annotated[
     list[str] | None,
-    typer.Option("--weight", help="A field's weight in D_M: FIELD=N; others weigh 1. Repeatable."),
+    typer.Option("--weight", help="FIELD=N: weight in D_M (default 1); repeatable."),
 ]
 JobsOption = Annotated[
     int,
-    typer.Option("--jobs", min=1, max=256, help="Processes; threads where a model is waited for."),
+    typer.Option("--jobs", min=1, max=256, help="Number of processes; threads for a model server."),
 ]
 RayOption = Annotated[
     str,
     typer.Option("--ray", metavar="ADDRESS", help="Run on a Ray cluster: HOST:PORT, or auto."),
 ]
 _UnqualifiedOption = Annotated[
-    bool, typer.Option("--unqualified", help="Score baselines that fail their own claim, too.")
+    bool, typer.Option("--unqualified", help="Also score baselines that fail their own claim.")
 ]
-_AsJsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")]
+_AsJsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
 def run_command(
@@ -116,8 +114,8 @@ def run_command(
 ) -> int:
     """Attack a planner with every pair of a suite, under every defense, and write one log.
 
-    A log that is there is gone on with: nothing in it is run again, nothing is lost. With the same
-    seed a deterministic campaign gives the same lines, but for `timing`, for every `--jobs`.
+    A log that exists is continued: no trial runs again, and none is lost. With the same seed, a
+    deterministic campaign gives the same lines except `timing`, for every `--jobs`.
     """
     usual = suites.usual(suite)
     plan = CampaignPlan(

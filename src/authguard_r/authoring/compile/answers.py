@@ -118,7 +118,7 @@ def read_answer(text: str, *, where: str) -> object:
 
 def _require_all_asked(left: Mapping[str, object]) -> None:
     for field in left:
-        raise MalformedError("this is an answer that nobody asked for", where=field)
+        raise MalformedError("no question has this field: remove the answer", where=field)
 
 
 def _steps(field: str) -> list[str | int]:

@@ -73,7 +73,7 @@ def _head(mission: Mission, site: Site) -> Iterator[str]:
     window = f"{mission.not_before} to {mission.expiry} ({duration(length)})"
     yield f"Mission {mission.mid}, version {mission.version}, for robot {mission.rid}"
     yield f"  {formatting.quoted(mission.task)}"
-    yield f"  signed by {mission.issuer}; valid {window}"
+    yield f"  to be signed by {mission.issuer}; valid {window}"
     yield f"  only with a place read at most {duration(mission.place_max_age_ms)} ago"
     for guard in mission.guards:
         yield f"  only while {formatting.condition(guard)}"
@@ -251,7 +251,12 @@ def _withheld(mission: Mission, site: Site) -> Iterator[str]:
     handled = {row.object for grant in mission.actions for row in grant.alternatives}
     others = sorted(item for item in site.objects if item not in handled)
     kept = [r for r in RIGHTS if not any(getattr(grant.data, r) for grant in mission.actions)]
-    yield f"It does NOT grant: {', '.join(withheld) or 'nothing that this robot can do'}"
+    if mission.rid not in site.robots:
+        yield f"Robot {mission.rid} is not in this site: what it does NOT grant is unknown"
+    elif withheld:
+        yield f"It does NOT grant: {', '.join(withheld)}"
+    else:
+        yield "It grants every action type of this robot"
     yield f"It never enters: {', '.join(closed) or 'no region is closed'}"
     yield f"It never handles: {', '.join(others) or 'no object is left out'}"
     yield f"Withheld rights to sensor data: {', '.join(kept) or 'none'}"

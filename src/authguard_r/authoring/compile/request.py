@@ -7,10 +7,11 @@ from what the gate says beside them. Spec page: docs/spec/gate-protocol.md#appro
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
-from authguard_r.client.approvals import ShownRequest
+from authguard_r.client.approvals import ShownRequest, shown
 from authguard_r.core.action import ActionScope
+from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.quantities import to_timestamp
 from authguard_r.site import formatting
 from authguard_r.site.durations import duration
@@ -56,6 +57,19 @@ def brief(question: Question, opened: ShownRequest, site: Site | None = None) ->
         *(f"      {_answer(answer)}" for answer in question.answers),
         f"      may answer: {', '.join(question.roles) or 'NOBODY'}; not {question.issuer}",
     ]
+
+
+def headlines(questions: Iterable[Question], site: Site | None = None) -> list[str]:
+    """Return each request on one line: what is asked, how long still, and what shows it."""
+    lines = []
+    for question in questions:
+        try:
+            told = f"{action_line(shown(question).scope, site)}; {_head(question)}"
+        except AuthGuardError as error:
+            told = f"CANNOT BE SHOWN: {error.message}"
+        number = question.counter
+        lines.append(f"REQUEST {number}: {told}: authguard approvals show {number}")
+    return lines
 
 
 def card(question: Question, opened: ShownRequest, site: Site | None = None) -> list[str]:

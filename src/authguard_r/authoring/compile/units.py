@@ -108,5 +108,5 @@ def _registry() -> Any:
 
 def _in_range(value: int, where: str) -> int:
     if abs(value) > MAX_INTEGER:
-        raise MalformedError("expected a quantity that an integer can hold", where=where)
+        raise MalformedError("expected a quantity that fits into an integer", where=where)
     return value

@@ -136,6 +136,7 @@ class Sentence(Struct):
         begin: the instant that a bare `at 2` was settled to mean.
         expiry: an end with date and zone.
         length: `within 25 minutes`.
+        delay: `in 25 minutes`, which may be the begin or the end, as it was said; empty: not said.
         unknown: words that nothing explains, in order.
         unsettled: conditions that no clause follows.
     """
@@ -149,5 +150,6 @@ class Sentence(Struct):
     begin: str | None = None
     expiry: str | None = None
     length: Measure | None = None
+    delay: str = ""
     unknown: list[UnparsedWord] = msgspec.field(default_factory=list)
     unsettled: list[str] = msgspec.field(default_factory=list)

@@ -36,13 +36,21 @@ _SIDES = (
 
 
 def take_end(here: Cursor, said: Sentence) -> bool:
-    """Take `before 14:30`, `within 25 minutes` or `until 2026-01-31T14:30:00Z`; one end only."""
+    """Take `before 14:30`, `within 25 minutes` or `until 2026-01-31T14:30:00Z`; one end only.
+
+    `in 25 minutes` is taken, too, and asked about: it may be the begin or the end.
+    """
     if said.length is not None or said.expiry is not None or said.deadline is not None:
         return False
     size = here.first(_WITHIN)
     length = read_measure(here.tokens, here.at + size) if size else None
     if length is not None and length.dimension is QuantityDimension.TIME:
         said.length, here.at = length, here.at + size + length.size
+        return True
+    delay = read_measure(here.tokens, here.at + 1) if here.low() == "in" else None
+    if delay is not None and delay.dimension is QuantityDimension.TIME and not said.delay:
+        first, last = here.span(1 + delay.size)
+        said.delay, here.at = said.text[first:last], here.at + 1 + delay.size
         return True
     size = here.first(_DEADLINES)
     place = here.at + size

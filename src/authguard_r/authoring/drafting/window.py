@@ -58,17 +58,19 @@ def window_of(sentence: Sentence, asking: DraftDialog, *, now_ms: int) -> dict[s
 
 def _end(sentence: Sentence, asking: DraftDialog, now_ms: int) -> str | None:
     """Return the end as an instant or as a duration."""
-    if sentence.length is not None:
-        return _duration(sentence.length.text, "window")
-    if sentence.expiry is not None:
-        _ms(sentence.expiry, "window.expiry")
-        return sentence.expiry
-    if sentence.deadline is not None:
-        return _instant(sentence.deadline, "window.expiry", asking, now_ms)
+    if not sentence.delay:
+        if sentence.length is not None:
+            return _duration(sentence.length.text, "window")
+        if sentence.expiry is not None:
+            _ms(sentence.expiry, "window.expiry")
+            return sentence.expiry
+        if sentence.deadline is not None:
+            return _instant(sentence.deadline, "window.expiry", asking, now_ms)
     answer = asking.answer("window.expiry") or asking.answer("window.for")
     if answer is None:
         question = "How long, or until which instant, is the mission valid (such as `25 min`)?"
-        answer = asking.ask("window", question)
+        unclear = f"`{sentence.delay}` may be the begin or the end. " if sentence.delay else ""
+        answer = asking.ask("window", unclear + question)
     if answer is None:
         return None
     return answer if _INSTANT.match(answer) else _duration(answer, "window")

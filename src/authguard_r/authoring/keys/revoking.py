@@ -100,7 +100,7 @@ def renew_lists(
         dead: dict[str, set[int]] = {name: set() for name in signing_here(folder)}
         if not dead:
             raise EnvironmentFault(
-                f"`{folder}` holds no authority's private key: lists are signed on its machine",
+                f"`{folder}` has no authority's private key: sign lists on the authority's machine",
                 reason=Reason.STORE_UNAVAILABLE,
                 where=str(folder),
             )

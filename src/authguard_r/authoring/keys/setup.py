@@ -274,7 +274,7 @@ def _key_path(folder: Path, name: str) -> Path:
 
 def _without(folder: Path, name: str) -> EnvironmentFault:
     return EnvironmentFault(
-        f"`{folder}` holds no usable key of the `{name}` authority",
+        f"`{folder}` has no usable key of the `{name}` authority",
         reason=Reason.STORE_UNAVAILABLE,
         where=str(folder),
     )

@@ -112,5 +112,5 @@ def exact(number: object, *, where: str) -> Decimal:
         raise MalformedError(f"expected a number, got `{shown(str(number))}`", where=where)
     value = Decimal(repr(number) if isinstance(number, float) else number)
     if not value.is_finite() or abs(value) > MAX_INTEGER // 1_000_000:
-        raise MalformedError("expected a number that a site can hold", where=where)
+        raise MalformedError("expected a number that fits into a site model", where=where)
     return value

@@ -157,4 +157,4 @@ def _require_kind(key: str, kind: MediationKind, model: ActionModel) -> None:
     if kind is MediationKind.STREAM and not velocities(model):
         raise MalformedError("expected what the binding makes velocities for a time", where=where)
     if kind is MediationKind.MESSAGE and model.moves:
-        raise MalformedError("expected a stream: what moves the robot goes on moving", where=where)
+        raise MalformedError("expected a stream: a topic that moves the robot", where=where)

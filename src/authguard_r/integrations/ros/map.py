@@ -17,7 +17,7 @@ from msgspec import Struct, field
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import RobotId, is_identifier
 from authguard_r.integrations.ros.names import TypePart, is_below, is_enclave, is_name, part_of
-from authguard_r.site.strict import convert, read_text, read_yaml, require_each
+from authguard_r.site.strict import convert, read_text, read_yaml
 
 SCHEMA = "authguard-r/ros-map/1"
 #: Everything that a planner may publish, call or read is below this.
@@ -196,9 +196,6 @@ class RosMap(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     heartbeat: str = "/authguard/heartbeat"
 
 
-_GROUPS: dict[str, type[Struct]] = {"mediated": Mediated, "shown": ShownTopic, "processes": Process}
-
-
 def read_map(path: Path) -> RosMap:
     """Return the map in a file.
 
@@ -216,8 +213,6 @@ def parse_map(text: str, *, where: str) -> RosMap:
         MalformedError: as `read_map`.
     """
     data = read_yaml(text, where=where)
-    for group, kind in _GROUPS.items():
-        require_each(data, group, kind, where=where)
     found: RosMap = convert(data, RosMap, where=where)
     for place, message in faults(found):
         raise MalformedError(message, where=f"{where}:{place}")

@@ -99,7 +99,7 @@ def _key_faults(path: Path, uid: int) -> Iterator[KeystoreFault]:
         yield _fault(str(path), f"expected the enclave's key: {error.strerror}")
         return
     if stat.S_IMODE(held.st_mode) & 0o077 or held.st_uid != uid:
-        yield _fault(str(path), "expected a key that this user owns and nobody else can read")
+        yield _fault(str(path), "expected a key that only its owner, this user, can read")
 
 
 def _fault(where: str, message: str) -> KeystoreFault:

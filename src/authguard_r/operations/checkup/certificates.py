@@ -26,7 +26,7 @@ SOON_MS = 30 * 86_400_000
 _LEAST_PARTS = 4
 _RENEW = "issue it again: authguard keys rotate"
 _NEXT = "make the next set-up in time: authguard keys init DIR --no-demo"
-_FRESH = "authguard keys lists, at its authority; then authguard revocations install"
+_FRESH = "authguard keys lists, at its authority; then authguard advanced revocations install"
 #: The state of every certificate that was given: a folder keeps them, and nothing is wrong.
 _OVER = frozenset({Reason.CERTIFICATE_EXPIRED, Reason.CERTIFICATE_REVOKED, Reason.REVOCATION_STALE})
 

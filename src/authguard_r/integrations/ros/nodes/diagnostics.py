@@ -173,7 +173,7 @@ def _of_gate(seen: ReportedStatus) -> tuple[bytes, str]:
     if not seen.answers:
         return DiagnosticStatus.ERROR, f"does not say how it stands: {seen.why}"
     if not seen.lane:
-        return DiagnosticStatus.WARN, "the stop lane is not connected"
+        return DiagnosticStatus.WARN, "the stop process is not connected"
     return DiagnosticStatus.OK, "connected"
 
 

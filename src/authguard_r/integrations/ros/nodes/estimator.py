@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The robot's place out of its own localization, signed for its gate.
 
-`python -m authguard_r.integrations.ros.nodes.estimator --map ... --run ... --site ... --trust ...
+`python -m authguard_r.integrations.ros.nodes.estimator --map ... --gate ... --site ... --trust ...
 --key ... --cert ...`. It publishes nothing and serves nothing.
 While anything is doubtful it attests nothing: the state grows old, and the gate stops the robot by
 itself.
@@ -187,7 +187,8 @@ def _ready(robot: RobotId) -> None:
 def main() -> None:
     """Attest until SIGTERM or SIGINT; a line of JSON says that the gate took the first snapshot."""
     asks = argparse.ArgumentParser(prog="python -m authguard_r.integrations.ros.nodes.estimator")
-    for name in ("map", "run", "site", "trust", "key", "cert"):
+    asks.add_argument("--gate", "--run", dest="run", type=Path, required=True)
+    for name in ("map", "site", "trust", "key", "cert"):
         asks.add_argument(f"--{name}", type=Path, required=True)
     asks.add_argument("--passphrase-file", type=Path)
     rates = range(1, MAX_RATE_HZ + 1)

@@ -284,7 +284,9 @@ async def _ready(mediator: Mediator) -> None:
                 await asyncio.sleep(_LOOK_S)
     if not await mediator.body.at_rest(START_S):
         raise EnvironmentFault(
-            "nobody says that the robot stands", reason=Reason.CONTROLLER_FAILED, where="robot"
+            "no controller confirmed that the robot stands",
+            reason=Reason.CONTROLLER_FAILED,
+            where="robot",
         )
 
 

@@ -42,7 +42,9 @@ def main() -> None:
         description="Stand between planners and a robot on ROS 2.",
     )
     asks.add_argument("--map", type=Path, required=True, help="the robot's map")
-    asks.add_argument("--run", type=Path, required=True, help="the gate's run folder")
+    asks.add_argument(
+        "--gate", "--run", dest="run", type=Path, required=True, help="the gate's run folder"
+    )
     asks.add_argument("--site", type=Path, required=True, help="the site model, the gate's own")
     asks.add_argument("--trust", type=Path, required=True, help="the trust folder")
     asks.add_argument("--binding", required=True, help="the binding, the gate's own")
