@@ -334,7 +334,9 @@ def sign(shell: Terminal) -> None:
     (shell.folder / draft).write_text(page)
     answers = [word for field, said in SAID.items() for word in ("--answer", f"{field}={said}")]
     shell(f"mission compile {draft} --site cell/site.yaml --no-input --out v1.json", *answers)
-    assert "It grants every action type of this robot" in shell("mission review v1.json --site cell/site.yaml")
+    assert "It grants every action type of this robot" in shell(
+        "mission review v1.json --site cell/site.yaml"
+    )
     shell("keys init real --site cell/site.yaml")
     shell(
         "mission sign v1.json --key real/keys/operator-1.key.pem "
