@@ -130,7 +130,7 @@ def test_keys_are_made_once_and_shown(shell: Shell) -> None:
         5,
         {
             "error": {
-                "code": "STORE_UNAVAILABLE",
+                "code": "FILE_UNAVAILABLE",
                 "message": "expected an empty folder, got `fresh`",
                 "where": "fresh",
             }

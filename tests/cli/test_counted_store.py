@@ -113,7 +113,7 @@ def test_no_gate_starts_whose_counter_would_take_the_stores_place(
     for other in ("r.db", "run/../r.db", "r.db-wal", key, config):
         words = gate_words(config, "--store", "r.db", "--counter", other)
         code, reason, message = shell.refused(*words)
-        assert (code, reason, "--counter" in message) == (5, "STORE_UNAVAILABLE", True)
+        assert (code, reason, "--counter" in message) == (5, "SETUP_INVALID", True)
     assert (Path("r.db").read_bytes(), Path(key).read_bytes()) == (store, secret)
     code, told = shell.json("doctor", "--store", "r.db", "--counter", "r.db")
     assert code == 5
@@ -243,7 +243,7 @@ def test_where_nobody_serves_a_stop_says_so_after_a_restart_s_time(
         gate.bind(str(run / "gate.sock"))
         lane.bind(str(run / "stop.sock"))  # nobody listens
         code, reason, message = shell.refused("stop", "--gate", "run")
-        assert (code, reason) == (5, "STORE_UNAVAILABLE")
+        assert (code, reason) == (5, "SERVICE_UNAVAILABLE")
         assert "no gate answers" in message
     (run / "gate.sock").unlink()
     (run / "stop.sock").unlink()

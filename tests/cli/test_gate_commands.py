@@ -651,7 +651,7 @@ def test_a_run_folder_that_is_a_file_is_said_to_be_one(shell: Shell, command: st
     }[command]
     on = ("--robot", scenarios.RID, "--trust", "trust", "--gate", "file")
     code, reason, message = shell.refused(*command.split(), *on, *words)
-    assert (code, reason) == (5, "STORE_UNAVAILABLE")
+    assert (code, reason) == (5, "FILE_UNAVAILABLE")
     assert "expected a folder" in message
 
 

@@ -108,7 +108,7 @@ def test_an_authority_may_be_certified_alone(machines: Machines) -> None:
     machine = ("--role", "witness", "--principal", "witness-1")
     assert machines("keys", "request", *machine, "--out", "w")[0] == 0
     request = "w/witness-1.request.json"
-    assert machines.refused(5, "keys", "issue", "one", request, "--yes") == "STORE_UNAVAILABLE"
+    assert machines.refused(5, "keys", "issue", "one", request, "--yes") == "FILE_UNAVAILABLE"
     assert machines("keys", "init", "two", "--no-demo", "--authorities", "everybody")[0] == 2
 
 
@@ -243,7 +243,7 @@ def test_a_key_is_never_written_over(machines: Machines) -> None:
     assert machines("keys", "request", *OPERATOR, "--out", "op")[0] == 0
     before = Path("op/operator-1.key.pem").read_bytes()
     words = ("keys", "request", *OPERATOR, "--out", "op")
-    assert machines.refused(5, *words) == "STORE_UNAVAILABLE"
+    assert machines.refused(5, *words) == "FILE_UNAVAILABLE"
     assert Path("op/operator-1.key.pem").read_bytes() == before
 
 
@@ -523,11 +523,11 @@ def test_a_bad_file_among_the_given_is_named_and_stops_nothing(machines: Machine
 
 def test_a_machine_that_holds_no_authority_signs_no_list(machines: Machines) -> None:
     machines.member("op", *OPERATOR)
-    assert machines.refused(5, "keys", "lists", "op/trust") == "STORE_UNAVAILABLE"
+    assert machines.refused(5, "keys", "lists", "op/trust") == "FILE_UNAVAILABLE"
 
 
 def test_an_answer_that_cannot_be_written_was_not_given(machines: Machines) -> None:
     assert machines("keys", "request", *OPERATOR, "--out", "op")[0] == 0
     words = ("keys", "issue", "auth", "op/operator-1.request.json", "--yes", "--out")
-    assert machines.refused(5, *words, "nodir/x.json") == "STORE_UNAVAILABLE"
+    assert machines.refused(5, *words, "nodir/x.json") == "FILE_UNAVAILABLE"
     assert list(Path("auth/issued").iterdir()) == []

@@ -89,7 +89,7 @@ def test_what_did_not_go_in_is_said_and_the_others_did(shell: Shell) -> None:
     Path("junk.json").write_bytes(b"{}")
     words = ("advanced", "revocations", "install", "none.json", "junk.json", "older.json", *LISTS)
     code, told = shell.json(*words, "--trust", "op/trust")
-    assert (code, told["error"]["code"]) == (5, "STORE_UNAVAILABLE")
+    assert (code, told["error"]["code"]) == (5, "FILE_UNAVAILABLE")
     assert [(item["file"], item["at"]) for item in told["refused"]] == [
         ("none.json", "nowhere"),
         ("junk.json", "op/trust"),
@@ -187,7 +187,7 @@ def test_no_command_writes_over_a_private_key(shell: Shell) -> None:
         ("site", "show", site, "--svg", key),
     ):
         code, told = shell.json(*words)
-        assert (code, told["error"]["code"]) == (5, "STORE_UNAVAILABLE"), words
+        assert (code, told["error"]["code"]) == (5, "FILE_UNAVAILABLE"), words
         assert held() == before, words
     assert install(shell, "op", "--cert", key)[0] == 5
     assert held() == before

@@ -57,7 +57,7 @@ def test_init_prints_the_key_that_others_know_it_by(
     assert (folder / "witness.key.pem").stat().st_mode & 0o777 == 0o600
     # a second time would be a second witness under one name
     code, told = shell.json("init", folder, "--name", NAME)
-    assert (code, told["error"]["code"]) == (5, "STORE_UNAVAILABLE")
+    assert (code, told["error"]["code"]) == (5, "FILE_UNAVAILABLE")
     assert shell.json("show", folder)[1]["key"] == key.text()
 
 

@@ -457,14 +457,14 @@ def test_a_gate_that_is_killed_in_mid_call_is_told_and_found_again(tmp_path: Pat
         assert told.report["execution"] == "unknown"
         away = refused(guard, "navigate_to", destination="Pharmacy")
         assert isinstance(away, Refused)
-        assert away.reasons == ["STORE_UNAVAILABLE"]
+        assert away.reasons == ["SERVICE_UNAVAILABLE"]
         robot.go.set()
         robot.gate.start_gate()
         operator = robot.gate.client(ClientRole.OPERATOR)
         until(lambda: operator.status()["heard"]["controller_ms"] is not None, "the controller")
         back = refused(guard, "navigate_to", destination="Isolation Room")
         assert isinstance(back, Refused)
-        assert back.reasons != ["STORE_UNAVAILABLE"]
+        assert back.reasons != ["SERVICE_UNAVAILABLE"]
     assert len(robot.calls()) == 1
 
 

@@ -326,7 +326,7 @@ def test_a_draft_has_the_same_time_in_all(console: Console) -> None:
 
 def test_a_server_that_fails_is_a_fault_without_a_plan(console: Console) -> None:
     code, made = console.read(ModelServer(body=b"broken", status=500))
-    assert (code, made["error"]["code"]) == (5, "STORE_UNAVAILABLE")
+    assert (code, made["error"]["code"]) == (5, "SERVICE_UNAVAILABLE")
     assert "status 500" in made["error"]["message"]
 
 

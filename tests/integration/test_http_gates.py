@@ -68,7 +68,7 @@ def test_a_gate_that_is_away_is_no_permit_and_comes_back() -> None:
             gate.kill9()
             answer = served.post(EVALUATION, GRANTED)
             assert (answer.status_code, answer.headers["retry-after"]) == (503, "1")
-            assert answer.json()["code"] == "STORE_UNAVAILABLE"
+            assert answer.json()["code"] == "SERVICE_UNAVAILABLE"
             several = {"evaluations": [GRANTED, ELSEWHERE]}
             first, second = served.post(EVALUATIONS, several).json()["evaluations"]
             assert (first["decision"], first["context"]["error"]["status"]) == (False, 503)

@@ -911,7 +911,7 @@ def test_a_gate_that_is_gone_is_told_and_found_again(tmp_path: Path) -> None:
             assert not (await client.call_tool("scan", {})).is_error
             await asyncio.to_thread(house.gate.stop_process, "gate")
             away = await client.call_tool("scan", {})
-            assert verdict(away)["reasons"] == ["STORE_UNAVAILABLE"]
+            assert verdict(away)["reasons"] == ["SERVICE_UNAVAILABLE"]
             await asyncio.to_thread(house.gate.start_gate)
             operator = await asyncio.to_thread(house.gate.client, ClientRole.OPERATOR)
             driven = lambda: operator.status()["heard"]["controller_ms"] is not None  # noqa: E731
@@ -932,7 +932,7 @@ def test_a_gate_that_is_killed_in_mid_call_is_told(tmp_path: Path) -> None:
             await asyncio.to_thread(house.gate.kill9)
             told = await going
             assert told.is_error
-            assert verdict(told)["reasons"] == ["STORE_UNAVAILABLE"]
+            assert verdict(told)["reasons"] == ["SERVICE_UNAVAILABLE"]
 
     with own_house(tmp_path) as house:
         run(lambda: talk(house))

@@ -383,7 +383,7 @@ def test_a_second_lane_is_refused_with_its_reason(files: EStopFiles) -> None:
         second = subprocess.run([*words, "--json"], capture_output=True, check=False)
         assert second.returncode == 5
         error = json.loads(second.stdout)["error"]
-        assert error["code"] == "STORE_UNAVAILABLE"
+        assert error["code"] == "SERVICE_UNAVAILABLE"
         assert "already" in error["message"]
         assert_stops(files.run)
 

@@ -273,7 +273,7 @@ def start(folder: Path, *words: str, first: str = "") -> tuple[int, dict[str, st
 
 def test_it_does_not_start_where_it_cannot_write(folder: Path) -> None:
     code, error = start(folder, first=FULL.format(0))
-    assert (code, error["code"]) == (5, "STORE_UNAVAILABLE")
+    assert (code, error["code"]) == (5, "FILE_UNAVAILABLE")
     assert known(folder) == 0
 
 

@@ -354,10 +354,10 @@ def test_a_gate_that_goes_is_told_as_such_and_heard_again_when_it_is_back(
     until(lambda: "began" in writer.news(wave(3)), "the goal")
     gate.kill9()
     lost = writer.over(wave(3))[-1]
-    assert (lost["news"], lost["reasons"]) == ("lost", ["STORE_UNAVAILABLE"])
+    assert (lost["news"], lost["reasons"]) == ("lost", ["SERVICE_UNAVAILABLE"])
     writer.write(plan(HORN))
     (refused,) = writer.over(plan(HORN))
-    assert (refused["news"], refused["reasons"]) == ("refused", ["STORE_UNAVAILABLE"])
+    assert (refused["news"], refused["reasons"]) == ("refused", ["SERVICE_UNAVAILABLE"])
     assert graph.robot.calls == []
     before = len(told.messages)
     gate.start_gate()

@@ -26,7 +26,7 @@ def examples_command(
             raise FileExistsError(f"expected a new or empty folder, got `{out}`")
         shutil.copytree(bundled_hospital(), out / "hospital", ignore=lambda *_: {"__pycache__"})
     except OSError as error:
-        reason = Reason.STORE_UNAVAILABLE
+        reason = Reason.FILE_UNAVAILABLE
         why = error.strerror or str(error)
         raise EnvironmentFault(why, reason=reason, where=str(out)) from error
     files = sorted(str(path) for path in out.rglob("*") if path.is_file())

@@ -295,6 +295,6 @@ def _require_extra() -> None:
     if find_spec("nacl") is None:
         raise EnvironmentFault(
             "threshold signatures need the extra: pip install 'authguard-r[frost]'",
-            reason=Reason.STORE_UNAVAILABLE,
+            reason=Reason.SETUP_INVALID,
             where="nacl",
         )

@@ -112,7 +112,7 @@ def require_absent(*paths: Path) -> None:
     for path in paths:
         if path.exists():
             raise EnvironmentFault(
-                f"expected no file `{path}`", reason=Reason.STORE_UNAVAILABLE, where=str(path)
+                f"expected no file `{path}`", reason=Reason.FILE_UNAVAILABLE, where=str(path)
             )
 
 

@@ -172,7 +172,7 @@ def _make_run(run: Path) -> None:
     if run.exists() and not run.is_dir():
         raise EnvironmentFault(
             f"expected a folder for sockets, got `{run}`",
-            reason=Reason.STORE_UNAVAILABLE,
+            reason=Reason.FILE_UNAVAILABLE,
             where="--gate",
         )
     run.mkdir(parents=True, exist_ok=True, mode=0o750)

@@ -183,7 +183,7 @@ def only_run(folder: Path, name: str) -> Path:
     raise EnvironmentFault(
         f"no gate answers: no folder below `{folder}` has a `{name}`{shut}; "
         "name a run folder with --gate, in AUTHGUARD_GATE, or in `authguard.toml`",
-        reason=Reason.STORE_UNAVAILABLE,
+        reason=Reason.SERVICE_UNAVAILABLE,
         where="--gate",
     )
 

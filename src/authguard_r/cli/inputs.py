@@ -113,7 +113,7 @@ def gate_facts(folder: Path, trust: Trust, site: Site, *, now: Now, robot: str |
     if len(wanted) != 1:
         raise EnvironmentFault(
             f"expected one gate in `{folder}`, found {len(names)}; name one with --robot",
-            reason=Reason.STORE_UNAVAILABLE,
+            reason=Reason.FILE_UNAVAILABLE,
             where=str(folder),
         )
     signer = folder_signer(folder, wanted[0])
@@ -148,7 +148,7 @@ def gate_robot(folder: Path, robot: str | None) -> RobotId:
     if len(names) != 1:
         raise EnvironmentFault(
             f"expected one gate in `{folder}`, found {len(names)}; name one with --robot",
-            reason=Reason.STORE_UNAVAILABLE,
+            reason=Reason.FILE_UNAVAILABLE,
             where=str(folder),
         )
     return RobotId(names[0].name.removeprefix("gate-").removesuffix(".cert.pem"))

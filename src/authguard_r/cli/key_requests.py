@@ -223,7 +223,7 @@ def _ask(
         raise EnvironmentFault(
             f"`{path}` is there already: `keys request --key {path}` asks for its certificate, and "
             "`keys rotate` makes the next key of a name that has one",
-            reason=Reason.STORE_UNAVAILABLE,
+            reason=Reason.FILE_UNAVAILABLE,
             where=str(path),
         )
     keys = tuple(generate(kind) for kind in kinds)

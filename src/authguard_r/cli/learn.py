@@ -90,7 +90,7 @@ def _write(folder: Path, files: dict[str, str]) -> None:
         if (folder / name).exists() or (folder / name).is_symlink():
             raise EnvironmentFault(
                 f"`{folder / name}` is there already, and a proposal takes nothing's place",
-                reason=Reason.STORE_UNAVAILABLE,
+                reason=Reason.FILE_UNAVAILABLE,
                 where="--out",
             )
     folder.mkdir(parents=True, exist_ok=True)

@@ -198,7 +198,7 @@ def _terminal(data: bytes, trust: Path | None) -> Terminal:
 def _no_key(option: str) -> EnvironmentFault:
     return EnvironmentFault(
         f"a checkpoint proves nothing without the key that signed it: name {option}",
-        reason=Reason.STORE_UNAVAILABLE,
+        reason=Reason.FILE_UNAVAILABLE,
         where=option.partition(",")[0],
     )
 

@@ -122,7 +122,7 @@ def write_change(path: Path, told: dict[str, Any]) -> str:
             file.write(text + json.dumps(change, indent=2) + "\n")
     except FileExistsError as error:
         message = f"`{path}` is there already, and a proposal takes nothing's place"
-        raise EnvironmentFault(message, reason=Reason.STORE_UNAVAILABLE, where="--draft") from error
+        raise EnvironmentFault(message, reason=Reason.FILE_UNAVAILABLE, where="--draft") from error
     return f"{path}: read it, then: authguard mission compile {path} --site SITE --supersedes TOKEN"
 
 

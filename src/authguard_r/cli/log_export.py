@@ -87,7 +87,7 @@ def _write(log: ReadableLog, form: Format, out: Path | None, opening: LogUnseale
         return _put(lines, sys.stdout.buffer)
     if out.exists() or out.is_symlink():
         raise EnvironmentFault(
-            f"`{out}` is there already", reason=Reason.STORE_UNAVAILABLE, where="--out"
+            f"`{out}` is there already", reason=Reason.FILE_UNAVAILABLE, where="--out"
         )
     # a log is not for every user of the machine
     handle = os.open(out, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)

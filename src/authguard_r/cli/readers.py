@@ -73,7 +73,7 @@ def _make(
     """
     if os.path.lexists(keyfile):
         message = f"`{keyfile}` is there already; --show prints its public key"
-        raise EnvironmentFault(message, reason=Reason.STORE_UNAVAILABLE, where=str(keyfile))
+        raise EnvironmentFault(message, reason=Reason.FILE_UNAVAILABLE, where=str(keyfile))
     passphrase = None
     if passphrase_file is not None:
         passphrase = read_passphrase(passphrase_file)

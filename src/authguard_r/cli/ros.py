@@ -143,6 +143,6 @@ def require_extra() -> None:
     if find_spec("asn1crypto") is None or find_spec("defusedxml") is None:
         raise EnvironmentFault(
             "keystores need the extra: pip install 'authguard-r[ros]'",
-            reason=Reason.STORE_UNAVAILABLE,
+            reason=Reason.SETUP_INVALID,
             where="defusedxml",
         )

@@ -313,6 +313,6 @@ def require_folder(run: Path) -> None:
     if not run.is_dir():
         raise EnvironmentFault(
             f"expected a folder for sockets, got `{run}`",
-            reason=Reason.STORE_UNAVAILABLE,
+            reason=Reason.FILE_UNAVAILABLE,
             where=str(run),
         )

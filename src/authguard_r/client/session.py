@@ -325,7 +325,7 @@ def done_of(act: OrderKind, said: dict[str, Any]) -> dict[str, Any]:
 
 def unreachable(message: str, where: str = "gate") -> EnvironmentFault:
     """Return the error of a gate that is not there, does not answer or went away."""
-    return EnvironmentFault(message, reason=Reason.STORE_UNAVAILABLE, where=where)
+    return EnvironmentFault(message, reason=Reason.SERVICE_UNAVAILABLE, where=where)
 
 
 def _is_over(exchange: _Exchange) -> bool:

@@ -229,5 +229,5 @@ class EStopConnection(asyncio.Protocol):
 
 def _unstarted(why: str) -> EnvironmentFault:
     return EnvironmentFault(
-        f"the stop process does not serve: {why}", reason=Reason.STORE_UNAVAILABLE, where="stop"
+        f"the stop process does not serve: {why}", reason=Reason.SERVICE_UNAVAILABLE, where="stop"
     )

@@ -63,7 +63,7 @@ def take_place(run: Path, *, of_gate: bool = False) -> RunFolder:
     if not run.is_dir():
         raise EnvironmentFault(
             f"expected a folder for sockets, got `{run}`",
-            reason=Reason.STORE_UNAVAILABLE,
+            reason=Reason.FILE_UNAVAILABLE,
             where=str(run),
         )
     try:
@@ -105,7 +105,7 @@ def end_stop_process(run: Path) -> None:
     if is_served(run / SOCKET):
         raise EnvironmentFault(
             "a stop process serves here and does not end: end it",
-            reason=Reason.STORE_UNAVAILABLE,
+            reason=Reason.SERVICE_UNAVAILABLE,
             where=str(run / PID),
         )
 
@@ -209,13 +209,13 @@ def _listen(path: Path) -> socket.socket:
 
 def _taken(path: Path) -> EnvironmentFault:
     return EnvironmentFault(
-        "a stop process serves here already", reason=Reason.STORE_UNAVAILABLE, where=str(path)
+        "a stop process serves here already", reason=Reason.SERVICE_UNAVAILABLE, where=str(path)
     )
 
 
 def _unusable(error: OSError, path: Path) -> EnvironmentFault:
     return EnvironmentFault(
         f"the stop process cannot serve here: {error.strerror or error}",
-        reason=Reason.STORE_UNAVAILABLE,
+        reason=Reason.SERVICE_UNAVAILABLE,
         where=str(path),
     )

@@ -215,7 +215,7 @@ def _derive(header: EnvelopeHeader, passphrase: str, *, where: str) -> bytes:
     except MemoryError as error:
         raise EnvironmentFault(
             f"no {header.memory_kib >> 10} MiB of memory for the passphrase; end another program",
-            reason=Reason.STORE_UNAVAILABLE,
+            reason=Reason.BUSY,
             where=where,
         ) from error
 

@@ -94,14 +94,14 @@ def read_private(path: Path, *, where: str) -> bytes:
             if mode & 0o077 or held.st_uid not in {0, os.geteuid()}:
                 raise EnvironmentFault(
                     f"others can read or own it (mode {mode:o}): chmod 600 `{path}`",
-                    reason=Reason.STORE_UNAVAILABLE,
+                    reason=Reason.FILE_UNAVAILABLE,
                     where=where,
                 )
             return file.read()
     except OSError as error:
         raise EnvironmentFault(
             f"cannot read `{path}`: {error.strerror}",
-            reason=Reason.STORE_UNAVAILABLE,
+            reason=Reason.FILE_UNAVAILABLE,
             where=str(path),
         ) from error
 
@@ -133,4 +133,4 @@ def _place(path: Path, data: bytes, mode: int | None) -> None:
 
 
 def _in_the_way(message: str, path: Path) -> EnvironmentFault:
-    return EnvironmentFault(message, reason=Reason.STORE_UNAVAILABLE, where=str(path))
+    return EnvironmentFault(message, reason=Reason.FILE_UNAVAILABLE, where=str(path))

@@ -296,7 +296,7 @@ def _malformed(message: str) -> MalformedError:
 
 
 def _fault(message: str, where: str) -> EnvironmentFault:
-    return EnvironmentFault(message, reason=Reason.STORE_UNAVAILABLE, where=where)
+    return EnvironmentFault(message, reason=Reason.SERVICE_UNAVAILABLE, where=where)
 
 
 def _unfit(message: str, where: str) -> AuthenticityError:

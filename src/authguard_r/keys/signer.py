@@ -198,7 +198,7 @@ def folder_signer(folder: Path, name: str) -> FileSigner:
     key = folder / "keys" / f"{name}.key.pem"
     if not key.is_file():
         text = f"`{folder}` holds no key of `{name}`"
-        raise EnvironmentFault(text, reason=Reason.STORE_UNAVAILABLE, where=str(key))
+        raise EnvironmentFault(text, reason=Reason.FILE_UNAVAILABLE, where=str(key))
     return read_signer(key, folder / "keys" / f"{name}.cert.pem")
 
 

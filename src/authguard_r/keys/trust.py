@@ -301,7 +301,7 @@ def read_file(path: Path) -> bytes:
     except OSError as error:
         raise EnvironmentFault(
             f"cannot read `{path}`: {error.strerror}",
-            reason=Reason.STORE_UNAVAILABLE,
+            reason=Reason.FILE_UNAVAILABLE,
             where=str(path),
         ) from error
 

@@ -95,7 +95,7 @@ def ask(files: GateFiles) -> str:
         return msgspec.json.encode(files, enc_hook=str).decode()
     except UnicodeEncodeError as error:
         raise EnvironmentFault(
-            "expected paths in UTF-8", reason=Reason.STORE_UNAVAILABLE, where="arguments"
+            "expected paths in UTF-8", reason=Reason.FILE_UNAVAILABLE, where="arguments"
         ) from error
 
 
@@ -181,7 +181,7 @@ def require_checked(files: GateFiles, parts: GateParts) -> None:
     if files.checked != parts_digest(parts):
         raise EnvironmentFault(
             "the set-up is not the one that was checked: start the gate with `authguard gate`",
-            reason=Reason.STORE_UNAVAILABLE,
+            reason=Reason.SETUP_INVALID,
             where="setup",
         )
 
@@ -210,7 +210,7 @@ def _simulated(files: GateFiles, trust: Trust, site: Site) -> SimulatedRobot:
     if not (files.demo and trust.demo):
         raise EnvironmentFault(
             "only with --demo and a root that says `demo`",
-            reason=Reason.STORE_UNAVAILABLE,
+            reason=Reason.SETUP_INVALID,
             where="--simulate",
         )
     # a gate of a real robot does not load the simulator

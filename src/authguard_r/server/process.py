@@ -345,7 +345,7 @@ async def _listen(path: Path, service: Service) -> asyncio.Server:
         listener.close()
         raise EnvironmentFault(
             f"cannot listen: {error.strerror or error}",
-            reason=Reason.STORE_UNAVAILABLE,
+            reason=Reason.SERVICE_UNAVAILABLE,
             where=str(path),
         ) from error
     return server

@@ -205,12 +205,12 @@ def _hold_key(key: Path) -> int:
 
 
 def _taken(message: str, who: str, where: object) -> EnvironmentFault:
-    return EnvironmentFault(f"{message} ({who})", reason=Reason.STORE_UNAVAILABLE, where=str(where))
+    return EnvironmentFault(f"{message} ({who})", reason=Reason.SERVICE_UNAVAILABLE, where=str(where))
 
 
 def _unusable(error: OSError, where: object) -> EnvironmentFault:
     return EnvironmentFault(
         f"the gate's lock cannot be taken: {error.strerror or error}",
-        reason=Reason.STORE_UNAVAILABLE,
+        reason=Reason.SERVICE_UNAVAILABLE,
         where=str(where),
     )

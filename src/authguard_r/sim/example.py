@@ -20,5 +20,5 @@ def bundled_hospital() -> Path:
         if (folder / "site.yaml").is_file():
             return folder
     raise EnvironmentFault(
-        "the hospital example is missing", reason=Reason.STORE_UNAVAILABLE, where=str(package)
+        "the hospital example is missing", reason=Reason.FILE_UNAVAILABLE, where=str(package)
     )

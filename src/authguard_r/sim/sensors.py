@@ -132,5 +132,5 @@ def _require_free(path: Path) -> None:
 
 def _unusable(path: Path, why: str) -> EnvironmentFault:
     return EnvironmentFault(
-        f"cannot serve `{path}`: {why}", reason=Reason.STORE_UNAVAILABLE, where=str(path)
+        f"cannot serve `{path}`: {why}", reason=Reason.SERVICE_UNAVAILABLE, where=str(path)
     )

@@ -96,7 +96,7 @@ def read_text(path: Path) -> str:
     except OSError as error:
         raise EnvironmentFault(
             f"cannot read `{path}`: {error.strerror}",
-            reason=Reason.STORE_UNAVAILABLE,
+            reason=Reason.FILE_UNAVAILABLE,
             where=str(path),
         ) from error
     return as_text(data, where=str(path))

@@ -21,6 +21,9 @@ from authguard_r.wire.messages import Fault, FaultFamily
 #: Codes that only an environment at fault has, for a fault that names no family.
 _ENVIRONMENT = frozenset(
     {
+        Reason.FILE_UNAVAILABLE,
+        Reason.SERVICE_UNAVAILABLE,
+        Reason.SETUP_INVALID,
         Reason.STORE_UNAVAILABLE,
         Reason.STORE_FULL,
         Reason.STORE_READ_ONLY,

@@ -75,7 +75,7 @@ def answered(run: Callable[[], int], *, as_json: bool) -> int:
     except OSError as error:
         fault = EnvironmentFault(
             f"{error.strerror or error}",
-            reason=Reason.STORE_UNAVAILABLE,
+            reason=Reason.FILE_UNAVAILABLE,
             where=error.filename or "",
         )
         return emit_error(fault.reason, fault.message, str(fault.where), as_json=as_json, code=5)

@@ -117,7 +117,7 @@ def hold(path: Path) -> int:
         os.close(file)
         raise EnvironmentFault(
             "another process uses this folder: end the witness that serves it first",
-            reason=Reason.STORE_UNAVAILABLE,
+            reason=Reason.SERVICE_UNAVAILABLE,
             where=str(path),
         ) from error
     return file
@@ -163,14 +163,14 @@ def fault(what: str, path: Path, error: OSError) -> EnvironmentFault:
     """Return our word for the system's."""
     return EnvironmentFault(
         f"`{path.name}` {what}: {error.strerror or error}",
-        reason=Reason.STORE_UNAVAILABLE,
+        reason=Reason.FILE_UNAVAILABLE,
         where=str(path),
     )
 
 
 def unsafe(message: str, path: Path) -> EnvironmentFault:
     """Return that others have their hands on something."""
-    return EnvironmentFault(message, reason=Reason.STORE_UNAVAILABLE, where=str(path))
+    return EnvironmentFault(message, reason=Reason.FILE_UNAVAILABLE, where=str(path))
 
 
 def _write(file: int, data: bytes) -> None:

@@ -436,7 +436,7 @@ def _load(path: Path, kind: type[T]) -> T | None:
 
 
 def _require(
-    path: Path, kind: type[T], absent: str, reason: Reason = Reason.STORE_UNAVAILABLE
+    path: Path, kind: type[T], absent: str, reason: Reason = Reason.FILE_UNAVAILABLE
 ) -> T:
     found = _load(path, kind)
     if found is None:
@@ -444,5 +444,5 @@ def _require(
     return found
 
 
-def _fault(message: str, path: Path, reason: Reason = Reason.STORE_UNAVAILABLE) -> EnvironmentFault:
+def _fault(message: str, path: Path, reason: Reason = Reason.FILE_UNAVAILABLE) -> EnvironmentFault:
     return EnvironmentFault(message, reason=reason, where=str(path))

@@ -70,7 +70,7 @@ def test_an_operator_of_another_robot_does_not_ask(tmp_path: Path) -> None:
 
 
 def test_without_a_trust_root_nobody_can_say(tmp_path: Path) -> None:
-    assert refused(chain("operator-1"), tmp_path / "gone") == (503, "STORE_UNAVAILABLE")
+    assert refused(chain("operator-1"), tmp_path / "gone") == (503, "FILE_UNAVAILABLE")
 
 
 def test_somebody_is_asked_for_something() -> None:

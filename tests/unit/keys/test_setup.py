@@ -119,7 +119,7 @@ def test_a_folder_that_holds_something_is_refused_and_nothing_is_written(
     before = sorted(tmp_path.rglob("*"))
     with pytest.raises(EnvironmentFault) as caught:
         init_folder(tmp_path, MEMBERS, now=TODAY)
-    assert caught.value.reason is Reason.STORE_UNAVAILABLE
+    assert caught.value.reason is Reason.FILE_UNAVAILABLE
     assert caught.value.where == str(tmp_path)
     assert sorted(tmp_path.rglob("*")) == before
     if kind != "folder":
@@ -244,7 +244,7 @@ def test_without_its_authority_nobody_is_added(folder: Path, path: str, data: by
     before = listing(folder)
     with pytest.raises(EnvironmentFault) as error:
         add_member(folder, late(), now=TODAY, days=5)
-    assert error.value.reason is Reason.STORE_UNAVAILABLE
+    assert error.value.reason is Reason.FILE_UNAVAILABLE
     assert listing(folder) == before
 
 

@@ -157,5 +157,5 @@ def test_a_file_that_is_not_there_is_a_fault_of_the_world(tmp_path: Path, missin
     (tmp_path / missing).unlink()
     with pytest.raises(EnvironmentFault) as caught:
         read_signer(*paths)
-    assert caught.value.reason is Reason.STORE_UNAVAILABLE
+    assert caught.value.reason is Reason.FILE_UNAVAILABLE
     assert caught.value.where == str(tmp_path / missing)

@@ -375,7 +375,7 @@ def test_a_part_that_is_missing_is_a_fault_of_the_world_that_names_it(
     (folder / part).unlink()
     with pytest.raises(EnvironmentFault) as caught:
         read_trust(folder)
-    assert caught.value.reason is Reason.STORE_UNAVAILABLE
+    assert caught.value.reason is Reason.FILE_UNAVAILABLE
     assert caught.value.where == str(folder / part)
 
 
@@ -462,6 +462,6 @@ def test_an_authority_without_a_file_here_has_no_list_and_is_refused(folder: Pat
 def test_a_file_that_cannot_be_read_says_which_and_why(tmp_path: Path) -> None:
     with pytest.raises(EnvironmentFault) as caught:
         read_file(tmp_path)
-    assert caught.value.reason is Reason.STORE_UNAVAILABLE
+    assert caught.value.reason is Reason.FILE_UNAVAILABLE
     assert str(tmp_path) in caught.value.message
     assert "directory" in caught.value.message

@@ -38,5 +38,5 @@ def test_a_lane_that_cannot_serve_says_why() -> None:
     files.config.unlink()
     process = started(ask(files))
     out, _ = process.communicate(timeout=60)
-    assert json.loads(out)["error"]["code"] == "STORE_UNAVAILABLE"
+    assert json.loads(out)["error"]["code"] == "FILE_UNAVAILABLE"
     assert process.returncode == 5

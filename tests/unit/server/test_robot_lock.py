@@ -124,7 +124,7 @@ def test_a_second_gate_of_one_robot_is_refused_whatever_its_run_folder(
     other = folder(tmp_path, "other")
     with pytest.raises(EnvironmentFault) as refused:
         hold_robot(rid, "a" * 16, run=other)
-    assert refused.value.reason is Reason.STORE_UNAVAILABLE
+    assert refused.value.reason is Reason.SERVICE_UNAVAILABLE
     assert f"(pid {holders[0].pid}, user {os.geteuid()})" in refused.value.message
     assert refused.value.where == rid
     assert list(other.iterdir()) == []

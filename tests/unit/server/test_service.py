@@ -278,7 +278,7 @@ def test_a_stop_that_nobody_confirmed_is_an_alert() -> None:
 
 def test_a_lane_that_is_lost_is_an_alert_with_why() -> None:
     with DemoGate(robot=False) as house:
-        fault = EnvironmentFault("gone", reason=Reason.STORE_UNAVAILABLE, where="stop lane")
+        fault = EnvironmentFault("gone", reason=Reason.SERVICE_UNAVAILABLE, where="stop lane")
         house.do(lambda: house.service.stops.stop_process_lost(None))
         house.do(lambda: house.service.stops.stop_process_lost(fault))
         silent = partial(house.service.stops.stop_process_silent, is_silent=True)

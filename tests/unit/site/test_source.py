@@ -307,7 +307,7 @@ def test_a_file_that_cannot_be_read_says_which_and_why(tmp_path: Path) -> None:
     for path in (tmp_path / "nothing.yaml", tmp_path):
         with pytest.raises(EnvironmentFault) as caught:
             read_text(path)
-        assert caught.value.reason is Reason.STORE_UNAVAILABLE
+        assert caught.value.reason is Reason.FILE_UNAVAILABLE
         assert caught.value.where == str(path)
         assert str(path) in caught.value.message
 

@@ -221,7 +221,7 @@ def require_group(
     for path in (_group_path(folder, wanted), folder / "keys" / f"{wanted.principal}.key.pem"):
         if path.exists():  # written over, it would count on and be on no record
             raise EnvironmentFault(
-                f"expected no file `{path}`", reason=Reason.STORE_UNAVAILABLE, where=str(path)
+                f"expected no file `{path}`", reason=Reason.FILE_UNAVAILABLE, where=str(path)
             )
     at = Now(int(now.timestamp()) * 1000, 0)
     _require_free(folder, wanted, (key,), renews=False, now=at)

@@ -167,7 +167,7 @@ def alone(folder: Path) -> Iterator[None]:
     except OSError as error:
         raise EnvironmentFault(
             f"cannot open `{folder}`: {error.strerror}",
-            reason=Reason.STORE_UNAVAILABLE,
+            reason=Reason.FILE_UNAVAILABLE,
             where=str(folder),
         ) from error
     try:

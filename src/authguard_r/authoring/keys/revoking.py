@@ -101,7 +101,7 @@ def renew_lists(
         if not dead:
             raise EnvironmentFault(
                 f"`{folder}` has no authority's private key: sign lists on the authority's machine",
-                reason=Reason.STORE_UNAVAILABLE,
+                reason=Reason.FILE_UNAVAILABLE,
                 where=str(folder),
             )
         return sign_next_lists(folder, dead, now=now, days=days, passphrase=passphrase)

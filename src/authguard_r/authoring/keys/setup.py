@@ -108,7 +108,7 @@ def init_folder(
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise EnvironmentFault(
             f"expected an empty folder, got `{folder}`",
-            reason=Reason.STORE_UNAVAILABLE,
+            reason=Reason.FILE_UNAVAILABLE,
             where=str(folder),
         )
     _require_names(members, folder)
@@ -275,7 +275,7 @@ def _key_path(folder: Path, name: str) -> Path:
 def _without(folder: Path, name: str) -> EnvironmentFault:
     return EnvironmentFault(
         f"`{folder}` has no usable key of the `{name}` authority",
-        reason=Reason.STORE_UNAVAILABLE,
+        reason=Reason.FILE_UNAVAILABLE,
         where=str(folder),
     )
 

@@ -192,7 +192,7 @@ def _read_image(path: Path, *, where: str) -> _Image:
     except OSError as error:
         raise EnvironmentFault(
             f"cannot read `{path}`: {error.strerror}",
-            reason=Reason.STORE_UNAVAILABLE,
+            reason=Reason.FILE_UNAVAILABLE,
             where=where,
         ) from error
     header = _HEADER.match(data, 0, _LONGEST_HEADER)

@@ -84,5 +84,5 @@ def listening(address: str, *, wide: bool = False, otherwise: str = "") -> socke
     except OSError as error:
         made.close()
         text = error.strerror or "cannot listen"
-        raise EnvironmentFault(text, reason=Reason.STORE_UNAVAILABLE, where=address) from error
+        raise EnvironmentFault(text, reason=Reason.SERVICE_UNAVAILABLE, where=address) from error
     return made

@@ -68,7 +68,7 @@ def fitting(limits: AdmissionLimits) -> AdmissionLimits:
     if left < LEAST:
         raise EnvironmentFault(
             f"the process may open {soft} files: give it at least {taken + LEAST} (`ulimit -n`)",
-            reason=Reason.STORE_UNAVAILABLE,
+            reason=Reason.SERVICE_UNAVAILABLE,
             where="RLIMIT_NOFILE",
         )
     return replace(limits, connections=min(limits.connections, left))

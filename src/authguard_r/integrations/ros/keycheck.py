@@ -106,7 +106,7 @@ def check_keystore(
     if not (folder / ENCLAVES).is_dir():
         raise EnvironmentFault(
             f"expected a keystore, got `{folder}`",
-            reason=Reason.STORE_UNAVAILABLE,
+            reason=Reason.FILE_UNAVAILABLE,
             where=str(folder),
         )
     ca = _authorities(folder)
@@ -366,6 +366,6 @@ def _read(path: Path) -> bytes:
     except OSError as error:
         raise EnvironmentFault(
             f"cannot read `{path}`: {error.strerror}",
-            reason=Reason.STORE_UNAVAILABLE,
+            reason=Reason.FILE_UNAVAILABLE,
             where=str(path),
         ) from error

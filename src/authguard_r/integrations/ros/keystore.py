@@ -59,7 +59,7 @@ def make_keystore(ros: RosMap, folder: Path, *, now: datetime | None = None) -> 
     """
     if folder.exists() and any(folder.iterdir()):
         raise EnvironmentFault(
-            "expected a new or empty folder", reason=Reason.STORE_UNAVAILABLE, where=str(folder)
+            "expected a new or empty folder", reason=Reason.FILE_UNAVAILABLE, where=str(folder)
         )
     issued = (now or datetime.now(UTC)).replace(microsecond=0)
     identity = authority("AuthGuard-R identity", issued)
@@ -110,7 +110,7 @@ def _home(folder: Path, *names: str) -> Path:
     except OSError as error:
         raise EnvironmentFault(
             f"cannot make `{home}`: {error.strerror}",
-            reason=Reason.STORE_UNAVAILABLE,
+            reason=Reason.FILE_UNAVAILABLE,
             where=str(home),
         ) from error
     return home

@@ -49,7 +49,7 @@ def require_security(ros: RosMap, enclave: str, environment: Mapping[str, str]) 
     for fault in security_faults(ros, enclave, environment):
         raise EnvironmentFault(
             f"{fault.message}; without it ROS 2 makes a node that anybody can be",
-            reason=Reason.STORE_UNAVAILABLE,
+            reason=Reason.SETUP_INVALID,
             where=fault.where,
         )
     return Path(environment[KEYSTORE])

@@ -146,7 +146,7 @@ def require_safe(setup: GateSetup, now: Now) -> tuple[Advice, ...]:
         more = f" (and {len(left) - 1} more: authguard doctor)" if len(left) > 1 else ""
         raise EnvironmentFault(
             f"unsafe: {first.part}: {first.message}; {first.mend}{more}",
-            reason=Reason.STORE_UNAVAILABLE,
+            reason=Reason.SETUP_INVALID,
             where=first.place or first.part,
         )
     return found

@@ -62,7 +62,7 @@ def made_by_ros(enclave: str) -> Iterator[None]:
     except RCLError as error:
         raise EnvironmentFault(
             f"ROS 2 makes no node in `{enclave}`: {error}",
-            reason=Reason.STORE_UNAVAILABLE,
+            reason=Reason.SERVICE_UNAVAILABLE,
             where="rclpy",
         ) from error
 
@@ -78,7 +78,7 @@ def require_bench(trust: Trust, *, demo: bool) -> None:
     if demo and not trust.demo:
         raise EnvironmentFault(
             f"expected no `{DEMO}`: the trust root is no demonstration's",
-            reason=Reason.STORE_UNAVAILABLE,
+            reason=Reason.SETUP_INVALID,
             where=DEMO,
         )
 
@@ -92,7 +92,7 @@ def require_unsecured() -> None:
     if ENABLE in os.environ:
         raise EnvironmentFault(
             f"expected no `{DEMO}` where `{ENABLE}` is set",
-            reason=Reason.STORE_UNAVAILABLE,
+            reason=Reason.SETUP_INVALID,
             where=DEMO,
         )
 
@@ -179,7 +179,7 @@ def ros_context(ros: RosMap, enclave: str) -> Iterator[Context]:
     if ENABLE in os.environ and (loaded := get_rmw_implementation_identifier()) not in SECURED:
         raise EnvironmentFault(
             f"expected a middleware with DDS security, got `{loaded}`",
-            reason=Reason.STORE_UNAVAILABLE,
+            reason=Reason.SETUP_INVALID,
             where=RMW,
         )
     with made_by_ros(enclave):
