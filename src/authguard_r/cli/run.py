@@ -38,6 +38,13 @@ from authguard_r.cli.inputs import (
 )
 from authguard_r.cli.offline import CounterOption, counter_of
 from authguard_r.cli.out import report_code, report_lines
+from authguard_r.cli.run_approvals import (
+    ApproverOption,
+    Approvers,
+    YesFlag,
+    approvers,
+    next_step,
+)
 from authguard_r.core.encoding import Tag, b64, decode, digest, unb64
 from authguard_r.core.errors import AuthGuardError
 from authguard_r.core.identifiers import Identifier, MissionId, ObjectId, RegionId
@@ -107,6 +114,7 @@ def run_plan(
     context: ContextLedger,
     ask: bool,
     repair: bool = False,
+    people: Approvers | None = None,
 ) -> PlanResult:
     """Read a plan whole, then decide and carry out each step when its turn comes.
 
@@ -117,6 +125,7 @@ def run_plan(
         context: what the planner could have seen.
         ask: a person is there to be asked after a refusal.
         repair: decide the repair of a step that only the safety gate refused, too.
+        people: who may answer an approval request before the step is proposed once more.
     """
     enforcer = simulation.gate.enforcer
     try:
@@ -128,6 +137,8 @@ def run_plan(
     reports: list[Report] = []
     for step in read.steps:
         report = propose(step, repair=repair)
+        if people is not None and people.answered(simulation, report):
+            report = propose(step, repair=repair)
         reports.append(report)
         if report.outcome is not Outcome.SUCCEEDED:
             break
@@ -181,10 +192,13 @@ def run_command(
     now: NowOption = None,
     counter: CounterOption = None,
     weight: WeightOption = None,
+    approver: ApproverOption = None,
+    yes: YesFlag = False,
     as_json: JsonFlag = False,
 ) -> int:
     """Enforce a plan on the simulated robot: decide, check, commit, move, observe, record."""
     instant = wall_now(now)
+    people = approvers(approver, yes=yes, as_json=as_json)
     model = load_site(site, trust, instant)
     named = "--robot" if robot is not None else "--trust"  # whose gate certificate names it
     rid = require_robot(model, gate_robot(trust, robot), where=named)
@@ -211,7 +225,9 @@ def run_command(
         mid = _activate(simulation, read_file(token))
         ledger = read_context(context, simulation.binder.spellings(), channels=model.channels)
         ask = sys.stdin.isatty() and not as_json
-        given = partial(run_plan, simulation, dialect=dialect, context=ledger, ask=ask)
+        given = partial(
+            run_plan, simulation, dialect=dialect, context=ledger, ask=ask, people=people
+        )
         runs = [given(read_input(each), repair=repair) for each in plan]
         left = () if config is None else _unfulfilled(simulation, config, mid)
         measured = _payload(simulation, runs, path, given_weights(weight or (), where="--weight"))
@@ -340,7 +356,7 @@ def _lines(runs: list[PlanResult], path: Path) -> list[str]:
     lines: list[str] = []
     for run in runs:
         for report in run.reports:
-            lines += report_lines(report)
+            lines += [*report_lines(report), *next_step(report)]
         if run.then is not None:
             left = max(run.steps - len(run.reports), 0)
             lines.append(f"then: {run.then}; {left} further step(s) not tried")

@@ -205,7 +205,9 @@ def _hold_key(key: Path) -> int:
 
 
 def _taken(message: str, who: str, where: object) -> EnvironmentFault:
-    return EnvironmentFault(f"{message} ({who})", reason=Reason.SERVICE_UNAVAILABLE, where=str(where))
+    return EnvironmentFault(
+        f"{message} ({who})", reason=Reason.SERVICE_UNAVAILABLE, where=str(where)
+    )
 
 
 def _unusable(error: OSError, where: object) -> EnvironmentFault:

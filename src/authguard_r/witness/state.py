@@ -435,9 +435,7 @@ def _load(path: Path, kind: type[T]) -> T | None:
         raise _fault(error.message, path, Reason.STORE_CORRUPT) from error
 
 
-def _require(
-    path: Path, kind: type[T], absent: str, reason: Reason = Reason.FILE_UNAVAILABLE
-) -> T:
+def _require(path: Path, kind: type[T], absent: str, reason: Reason = Reason.FILE_UNAVAILABLE) -> T:
     found = _load(path, kind)
     if found is None:
         raise _fault(absent, path, reason)

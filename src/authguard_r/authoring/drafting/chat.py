@@ -123,7 +123,9 @@ class _ServerChat(Struct, frozen=True):
             late = f"did not finish its answer within {self.total_s:g} s"
             did = late if error.kind is FaultKind.LATE else error.message
             message = f"the model server at `{self.address.base_url}` {did}"
-        return EnvironmentFault(f"{message}: {mend}", reason=Reason.SERVICE_UNAVAILABLE, where=where)
+        return EnvironmentFault(
+            f"{message}: {mend}", reason=Reason.SERVICE_UNAVAILABLE, where=where
+        )
 
 
 class OpenAIChat(_ServerChat, frozen=True):
