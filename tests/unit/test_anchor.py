@@ -646,6 +646,23 @@ def test_a_mission_that_the_lost_part_may_have_used_up_is_not_taken_in_again(rob
     assert manage.activate(scenarios.token(later)).status == "active"
 
 
+def test_a_mission_of_the_acceptances_own_second_may_have_run_before_it(robot: Robot) -> None:
+    worked(robot)
+    robot.store.unlink()
+    sim = robot.start()
+    sim.robot.pause(300)
+    sim.gate.management.accept_store(order(sim))
+    manage, second = sim.gate.management, sim.robot.wall_ms() // 1_000 * 1_000
+
+    def beginning(at_ms: int) -> bytes:
+        window = {"not_before": to_timestamp(at_ms), "expiry": to_timestamp(at_ms + HOUR_MS)}
+        return scenarios.token(scenarios.mission(window=window))
+
+    assert refused(lambda: manage.activate(beginning(second))) is Reason.ROLLED_BACK
+    sim.robot.pause(1_000)
+    assert manage.activate(beginning(second + 1_000)).status == "active"
+
+
 def test_requests_and_choices_of_before_die_and_numbers_leap(robot: Robot) -> None:
     made, sim = rolled_back(robot)
 

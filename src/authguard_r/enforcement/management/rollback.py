@@ -118,10 +118,10 @@ def require_later(act: Transaction, verified: VerifiedMission) -> None:
     Raises:
         RefusedError: it was to begin before the store was accepted (`ROLLED_BACK`).
     """
-    since_ms = accepted_ms(act) // 1_000 * 1_000  # a mission says seconds
-    if verified.not_before_ms < since_ms:
+    since_ms = accepted_ms(act)
+    if verified.not_before_ms < since_ms:  # whole seconds: one of the same second is refused too
         text = (
-            f"what ran before {to_timestamp(since_ms)} is not known any more, so nothing that "
-            "was to begin before is taken in again: compile and sign it anew"
+            f"the store was accepted at {to_timestamp(since_ms)}, and missions that begin in this "
+            "second or before may have run: compile and sign the mission again"
         )
         raise refuse(Reason.ROLLED_BACK, text, "mission.not_before")
