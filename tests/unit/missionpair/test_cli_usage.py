@@ -11,6 +11,7 @@ import msgspec
 import pytest
 import typer
 
+from fixtures import campaign_records
 from fixtures.missionpair_program import told
 from missionpair import cli, cli_validate, suites
 from missionpair.campaign.log import read_log
@@ -126,6 +127,20 @@ def test_checks_and_trials_are_counted_on_a_terminal_alone(
     code, out, err = ended(capsys, monkeypatch, "validate")
     assert (code, out.splitlines()[0]) == (1, "self-checks: 2/2")
     assert "5/5" in err
+
+
+@pytest.mark.parametrize("command", [("report",), ("require",), ("compare",)])
+def test_reading_a_log_shows_its_progress_on_a_terminal_alone(
+    command: tuple[str], capsys: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    made = campaign_records.campaign(trials=130, kinds=("attack",))
+    trials = campaign_records.numbered(campaign_records.kept() for _ in range(130))
+    log = campaign_records.written(tmp_path / "log", made, trials)
+    logs = (str(log),) * (2 if command == ("compare",) else 1)
+    assert ended(capsys, monkeypatch, *command, *logs)[2] == ""
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    err = ended(capsys, monkeypatch, *command, *logs)[2]
+    assert ("trials" in err, "128/130" in err) == (True, True)
 
 
 # what a suite says is usual for it

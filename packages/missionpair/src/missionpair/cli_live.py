@@ -12,8 +12,9 @@ import typer
 
 from missionpair import attackers, planners, registry
 from missionpair.campaign.run import CampaignPlan, run
+from missionpair.cli_progress import shown
 from missionpair.cli_report import report_command
-from missionpair.cli_run import JobsOption, shown, summary_of
+from missionpair.cli_run import JobsOption, summary_of
 from missionpair.words import CONTROLS, Access, TrialKind
 
 #: Tries that an attacker has in the paper, fixed or adaptive.

@@ -5,10 +5,12 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from missionpair.campaign.log import LogError, read_log
+from missionpair.campaign.plan import Progress
+from missionpair.cli_progress import counted
 from missionpair.measures import MeasuredCampaign, MeasureError, measure
 from missionpair.measures.apart import why_not_apart
 from missionpair.records import Campaign
@@ -37,7 +39,11 @@ def apart(paths: Sequence[Path]) -> Sequence[Path]:
 
 
 def measured(
-    path: Path, *, partial: bool = False, seen: Verdicts | None = None
+    path: Path,
+    *,
+    partial: bool = False,
+    seen: Verdicts | None = None,
+    show: Callable[[Progress], None] = lambda _: None,
 ) -> MeasuredCampaign:
     """Read one log, each line once.
 
@@ -45,6 +51,7 @@ def measured(
         path: the file.
         partial: take a campaign that has not come to its end.
         seen: called with every trial.
+        show: shows how many trials were read.
 
     Raises:
         LogError: it cannot be read, was cut or was changed.
@@ -52,7 +59,8 @@ def measured(
     """
     campaign, trials = read_log(path, is_partial_allowed=partial)
     try:
-        return measure(campaign, trials if seen is None else seen.watch(trials))
+        read = counted(trials, campaign.trials, show)
+        return measure(campaign, read if seen is None else seen.watch(read))
     except MeasureError as error:
         raise MeasureError(error.message, where=f"{path}: {error.where}") from error
 

@@ -12,6 +12,8 @@ import msgspec
 import typer
 
 from missionpair import suites
+from missionpair.campaign.plan import Progress
+from missionpair.cli_progress import shown
 from missionpair.mutation import Mutant, mutate, mutate_safety, slice_of
 from missionpair.pair import Suite
 from missionpair.report.mutation import SCHEMA, Mutation
@@ -38,7 +40,11 @@ def mutate_command(
     """
     whole, digest = suites.load(suite)
     some = slice_of(whole, most=most)
-    found = _run(some, is_shown=not as_json and sys.stderr.isatty())
+    with shown(hidden=as_json, what="pairs") as show, Yard() as yard:
+        benign = slice_of(some, most=_BENIGN)
+        total = len(some.pairs)
+        by_pair = mutate(some, yard, show=lambda done: show(Progress(done, total)))
+        found = (*by_pair, *mutate_safety(benign, yard))
     if out is not None:
         written = Mutation(
             schema=SCHEMA,
@@ -66,20 +72,6 @@ def payload_of(suite: Suite, digest: str, found: tuple[Mutant, ...]) -> dict[str
         "mutants": [_row(mutant) for mutant in found],
         "as_it_should": all(mutant.is_as_it_should for mutant in found),
     }
-
-
-def _run(suite: Suite, *, is_shown: bool) -> tuple[Mutant, ...]:
-    def show(done: int) -> None:
-        if is_shown:
-            sys.stderr.write(f"\rpair {done}/{len(suite.pairs)}")
-            sys.stderr.flush()
-
-    with Yard() as yard:
-        benign = slice_of(suite, most=_BENIGN)
-        found = (*mutate(suite, yard, show=show), *mutate_safety(benign, yard))
-    if is_shown:
-        sys.stderr.write("\n")
-    return found
 
 
 def _row(mutant: Mutant) -> dict[str, Any]:

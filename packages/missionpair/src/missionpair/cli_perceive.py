@@ -12,7 +12,8 @@ import typer
 
 from missionpair import suites
 from missionpair.campaign.run import Progress
-from missionpair.cli_run import JobsOption, shown
+from missionpair.cli_progress import shown
+from missionpair.cli_run import JobsOption
 from missionpair.pair import Suite
 from missionpair.perception import is_perceivable, perceive
 from missionpair.suites import counts_of, write_suite

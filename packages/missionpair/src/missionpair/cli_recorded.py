@@ -13,7 +13,8 @@ import msgspec
 import typer
 
 from missionpair.campaign.run import Progress
-from missionpair.cli_run import JobsOption, RayOption, shown
+from missionpair.cli_progress import shown
+from missionpair.cli_run import JobsOption, RayOption
 from missionpair.recorded.folder import import_agentdojo, read_runs, read_source
 from missionpair.recorded.replay import NONE, replay_all
 from missionpair.recorded.replies import import_replies

@@ -17,6 +17,7 @@ import msgspec
 import typer
 
 from missionpair.cli_logs import LOG_FAULTS, apart, failed, measured
+from missionpair.cli_progress import shown
 from missionpair.report import (
     CampaignReport,
     lines,
@@ -57,10 +58,10 @@ def report_command(
 ) -> int:
     """Make tables and plots from logs; a campaign with another access adds leakage."""
     try:
-        found = report_of(
-            [measured(path, partial=partial) for path in apart(logs)],
-            mutation=None if mutation is None else read_mutation(mutation),
-        )
+        with shown(hidden=as_json) as show:
+            campaigns = [measured(path, partial=partial, show=show) for path in apart(logs)]
+        mutants = None if mutation is None else read_mutation(mutation)
+        found = report_of(campaigns, mutation=mutants)
         written = sorted(map(str, _write(found, html=html, csv=csv, latex=latex)))
     except LOG_FAULTS as error:
         return failed("LOG_INVALID", error.message, error.where, as_json=as_json, code=4)
@@ -86,8 +87,9 @@ def compare_command(
     """Compare two campaigns: set-up, rates with intervals, pairs with another verdict."""
     try:
         seen = Verdicts(), Verdicts()
-        one = measured(first, partial=partial, seen=seen[0])
-        other = measured(second, partial=partial, seen=seen[1])
+        with shown(hidden=as_json) as show:
+            one = measured(first, partial=partial, seen=seen[0], show=show)
+            other = measured(second, partial=partial, seen=seen[1], show=show)
         found = compare_of(one, other, seen, is_any_allowed=anyway)
     except NotComparableError as error:
         return failed("NOT_COMPARABLE", error.message, error.where, as_json=as_json, code=1)

@@ -16,6 +16,7 @@ import msgspec
 import typer
 
 from missionpair.cli_logs import LOG_FAULTS, apart, failed, measured
+from missionpair.cli_progress import shown
 from missionpair.measures.demands import Demand, demands
 from missionpair.words import TrialKind
 
@@ -39,7 +40,8 @@ def require_command(
 ) -> int:
     """Check that logs meet the demands: no unauthorized action, and every signed action done."""
     try:
-        those = [measured(path) for path in apart(logs)]
+        with shown(hidden=as_json) as show:
+            those = [measured(path, show=show) for path in apart(logs)]
     except LOG_FAULTS as error:
         return failed("LOG_INVALID", error.message, error.where, as_json=as_json, code=4)
     wanted = tuple(dict.fromkeys(defense or ["both"]))

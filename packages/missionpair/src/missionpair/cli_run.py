@@ -5,10 +5,7 @@ from __future__ import annotations
 
 import json
 import re
-import signal
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,8 +14,9 @@ import typer
 from authguard_r.authoring.compile.sources import given_weights
 from missionpair import suites
 from missionpair.campaign.log import read_log
-from missionpair.campaign.run import CampaignPlan, Progress, run
+from missionpair.campaign.run import CampaignPlan, run
 from missionpair.campaign.trial import MOST_TURNS
+from missionpair.cli_progress import shown
 from missionpair.records import Campaign
 from missionpair.report.names import LIVE_MODEL, standing
 from missionpair.score import DEFAULT, Weights
@@ -251,33 +249,3 @@ def _lines(summary: dict[str, Any], log: Path) -> list[str]:
             f"{held['benign']} of the suite before it, {held['own']} own attacks"
         )
     return [*lines, f"log: {log} (missionpair report {log})"]
-
-
-@contextmanager
-def shown(*, hidden: bool, what: str = "trials") -> Iterator[Callable[[Progress], None]]:
-    """Give what shows progress on the terminal, as a count of `what`; nothing without one.
-
-    Meanwhile a request to end (SIGTERM) is as one of the keyboard: what was finished is written,
-    and what lies elsewhere for the time of the run is removed.
-    """
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        with _bar(hidden=hidden, what=what) as show:
-            yield show
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
-@contextmanager
-def _bar(*, hidden: bool, what: str) -> Iterator[Callable[[Progress], None]]:
-    if hidden or not sys.stderr.isatty():
-        yield lambda _: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
-    from rich.progress import Progress as Bar
-
-    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Bar(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(what, total=None)
-        yield lambda at: bar.update(task, completed=at.done, total=at.trials)
