@@ -21,7 +21,7 @@ from authguard_r.authoring.compile.draft import Draft
 from authguard_r.authoring.keys.setup import demo_members, init_folder
 from authguard_r.cli.inputs import JsonFlag, read_context
 from authguard_r.cli.out import report_lines
-from authguard_r.cli.run import PlanResult, run_plan
+from authguard_r.cli.run_plan import PlanResult, run_plan
 from authguard_r.core.encoding import Tag, b64, digest
 from authguard_r.core.identifiers import Digest, RobotId
 from authguard_r.core.quantities import Now

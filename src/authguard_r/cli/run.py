@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import tempfile
 from functools import partial
@@ -12,12 +11,9 @@ from typing import Annotated, Any
 
 import msgspec
 import typer
-from msgspec import Struct
 
 from authguard_r.access.files import read_binding
 from authguard_r.audit.deviation import Weights
-from authguard_r.authoring.compile.card import compare
-from authguard_r.authoring.compile.change import smallest_change, to_draft
 from authguard_r.authoring.compile.sources import given_weights
 from authguard_r.cli.gateway import beside_store, told_of
 from authguard_r.cli.inputs import (
@@ -38,30 +34,20 @@ from authguard_r.cli.inputs import (
 )
 from authguard_r.cli.offline import CounterOption, counter_of
 from authguard_r.cli.out import report_code, report_lines
-from authguard_r.cli.run_approvals import (
-    ApproverOption,
-    Approvers,
-    YesFlag,
-    approvers,
-    next_step,
-)
-from authguard_r.core.encoding import Tag, b64, decode, digest, unb64
-from authguard_r.core.errors import AuthGuardError
+from authguard_r.cli.run_approvals import ApproverOption, YesFlag, approvers, next_step
+from authguard_r.cli.run_plan import PlanResult, run_plan
+from authguard_r.core.encoding import Tag, decode, digest, unb64
 from authguard_r.core.identifiers import Identifier, MissionId, ObjectId, RegionId
 from authguard_r.core.lifecycle import Status
-from authguard_r.core.mission import Mission, OnRefusal
-from authguard_r.core.quantities import Now, to_timestamp
-from authguard_r.core.standing import Outcome
+from authguard_r.core.mission import Mission
+from authguard_r.core.quantities import Now
 from authguard_r.core.token import read_token
 from authguard_r.enforcement.json_views import plan_json, report_json
 from authguard_r.enforcement.management.configurations import Configuration, ConfiguredPart
-from authguard_r.enforcement.report import Report
 from authguard_r.keys.trust import read_file, read_trust
-from authguard_r.normalize import Dialect, read_plan
+from authguard_r.normalize import Dialect
 from authguard_r.normalize.binding import Binding, binding_digest
 from authguard_r.operations.simulation import Simulation, simulate
-from authguard_r.provenance.context import ContextLedger
-from authguard_r.provenance.mentions import MentionMatch
 from authguard_r.safety import (
     SafetyConfig,
     TemporalGate,
@@ -77,77 +63,6 @@ from authguard_r.sim.world import initial_state
 from authguard_r.site.model import Site
 from authguard_r.store.clocks import store_clock
 from authguard_r.wire.output import emit
-
-PLANNER = "planner"
-
-
-class ProposedChange(Struct, frozen=True, kw_only=True):
-    """A next version that would allow what was refused: as a draft, and what it adds."""
-
-    draft: dict[str, Any]
-    adds: tuple[str, ...]
-
-
-class PlanResult(Struct, frozen=True, kw_only=True):
-    """The result of one plan.
-
-    Args:
-        reports: one for each step that was reached; one alone when the plan could not be read.
-        steps: how many steps the plan had; 0 when it could not be read.
-        alerts: what an operator should look at.
-        change: the smallest signed change after a refusal, as a draft; for the operator only.
-        then: what the enforcer did after a refusal.
-    """
-
-    reports: tuple[Report, ...]
-    steps: int
-    alerts: tuple[str, ...] = ()
-    change: ProposedChange | None = None
-    then: str | None = None
-
-
-def run_plan(
-    simulation: Simulation,
-    plan: bytes,
-    *,
-    dialect: Dialect,
-    context: ContextLedger,
-    ask: bool,
-    repair: bool = False,
-    people: Approvers | None = None,
-) -> PlanResult:
-    """Read a plan whole, then decide and carry out each step when its turn comes.
-
-    Args:
-        simulation: the gate and its robot.
-        plan: what the planner wrote.
-        dialect: how to read it.
-        context: what the planner could have seen.
-        ask: a person is there to be asked after a refusal.
-        repair: decide the repair of a step that only the safety gate refused, too.
-        people: who may answer an approval request before the step is proposed once more.
-    """
-    enforcer = simulation.gate.enforcer
-    try:
-        read = read_plan(plan, binder=simulation.binder, dialect=dialect)
-    except AuthGuardError as error:
-        refused = enforcer.refuse_plan(error, planner=PLANNER)
-        return PlanResult(reports=(refused,), steps=0, then="hold")
-    propose = partial(enforcer.propose, planner=PLANNER, evidence=read.evidence, context=context)
-    reports: list[Report] = []
-    for step in read.steps:
-        report = propose(step, repair=repair)
-        if people is not None and people.answered(simulation, report):
-            report = propose(step, repair=repair)
-        reports.append(report)
-        if report.outcome is not Outcome.SUCCEEDED:
-            break
-    ran, last = PlanResult(reports=tuple(reports), steps=len(read.steps)), reports[-1]
-    if len(reports) == len(read.steps) and last.outcome is Outcome.SUCCEEDED:
-        return ran
-    then, change = _after_refusal(simulation, last, ask=ask), _change(simulation, last)
-    return msgspec.structs.replace(ran, alerts=_alerts(last), change=change, then=then)
-
 
 _PlanOption = Annotated[
     list[Path], typer.Option("--plan", help="Planner output; `-`: standard input; repeatable.")
@@ -202,9 +117,7 @@ def run_command(
     model = load_site(site, trust, instant)
     named = "--robot" if robot is not None else "--trust"  # whose gate certificate names it
     rid = require_robot(model, gate_robot(trust, robot), where=named)
-    config = None
-    if safety is not None:
-        config = open_config(read_file(safety), verifier=read_trust(trust), now=instant)
+    config = None if safety is None else _configured(safety, trust, instant)
     path = store or Path(tempfile.mkdtemp(prefix="authguard-")) / "robot.db"
     bound = read_binding(binding, model)
     with told_of(beside_store(path), path):
@@ -226,17 +139,20 @@ def run_command(
         ledger = read_context(context, simulation.binder.spellings(), channels=model.channels)
         ask = sys.stdin.isatty() and not as_json
         given = partial(
-            run_plan, simulation, dialect=dialect, context=ledger, ask=ask, people=people
+            run_plan, dialect=dialect, context=ledger, ask=ask, repair=repair, people=people
         )
-        runs = [given(read_input(each), repair=repair) for each in plan]
+        runs = [given(simulation, read_input(each)) for each in plan]
         left = () if config is None else _unfulfilled(simulation, config, mid)
-        measured = _payload(simulation, runs, path, given_weights(weight or (), where="--weight"))
-        payload = {**measured, "rules_open": left}
+        payload = _payload(simulation, runs, path, given_weights(weight or (), where="--weight"))
     finally:
         simulation.gate.close()
     open_rules = [f"rule `{rule}` does not hold if the mission ends here" for rule in left]
-    emit(payload, [*open_rules, *_lines(runs, path)], as_json=as_json)
+    emit({**payload, "rules_open": left}, [*open_rules, *_lines(runs, path)], as_json=as_json)
     return max(_code(run) for run in runs)
+
+
+def _configured(path: Path, trust: Path, now: Now) -> SafetyConfig:
+    return open_config(read_file(path), verifier=read_trust(trust), now=now)
 
 
 def _hold(simulation: Simulation, config: SafetyConfig, binding: Binding) -> None:
@@ -282,53 +198,6 @@ def _world(site: Site, rid: str, at: str | None, holding: str | None) -> WorldSt
     item = ObjectId(holding)
     places = {thing: place for thing, place in state.places.items() if thing != item}
     return msgspec.structs.replace(state, holding=item, places=places)
-
-
-def _after_refusal(simulation: Simulation, report: Report, *, ask: bool) -> str:
-    """Do what the mission prescribes after a refusal; hold when no person can be asked."""
-    if report.judged is None:
-        return OnRefusal.HOLD
-    wanted = report.judged.verified.mission.on_refusal
-    if wanted is OnRefusal.STOP:
-        simulation.gate.enforcer.stop(by="gate", is_planner=False)
-    if wanted is OnRefusal.ASK and ask:
-        typer.confirm("The step was refused. Hold here?", default=True)
-    return wanted
-
-
-def _alerts(report: Report) -> tuple[str, ...]:
-    if report.judged is None:
-        return ("the plan's step was refused before a decision",)
-    alerts = [f"refused: {reason}" for reason in report.judged.decision.reasons]
-    alerts += [f"aborted: {finding.reason}" for finding in report.reasons]
-    alerts += [
-        f"influenced by {item.channel}: too long to be read, it may mention `{item.value}`"
-        if item.how is MentionMatch.UNREAD
-        else f"influenced by {item.channel}: it mentions `{item.value}`"
-        for item in report.influences
-    ]
-    return tuple(alerts)
-
-
-def _change(simulation: Simulation, report: Report) -> ProposedChange | None:
-    """Return the smallest signed change that would allow the refused step, as a draft."""
-    judged = report.judged
-    if judged is None or judged.decision.match is None or report.outcome is not None:
-        return None
-    now = Now(simulation.robot.wall_ms() + 1_800_000, 0)
-    amended = smallest_change(
-        judged.verified.mission,
-        judged.action,
-        reasons=judged.decision.reasons,
-        grant=judged.decision.match.indexed.grant.id,
-        digest=judged.verified.digest,
-        nonce=b64(os.urandom(16)),
-        expiry=to_timestamp(now.utc_ms),
-    )
-    if amended is None:
-        return None
-    adds = compare(judged.verified.mission, amended, simulation.robot.site)
-    return ProposedChange(draft=to_draft(amended), adds=adds)
 
 
 def _payload(

@@ -15,9 +15,8 @@ from fixtures import campaign_records
 from fixtures.missionpair_program import told
 from missionpair import cli, cli_validate, suites
 from missionpair.campaign.log import read_log
-from missionpair.campaign.plan import CampaignPlan, PlanError
+from missionpair.campaign.plan import MOST_TURNS, CampaignPlan, PlanError
 from missionpair.campaign.run import run
-from missionpair.campaign.trial import MOST_TURNS
 from missionpair.registry import UnknownNameError
 from missionpair.words import TrialKind
 

@@ -19,7 +19,7 @@ from authguard_r.core.action import ActionMeta
 from authguard_r.safety import envelope
 from fixtures import mission_pairs
 from fixtures.cases import case
-from missionpair import cli_mutate, suites
+from missionpair import cli_mutate, mutation, suites
 from missionpair.ablation import CHECKS, without
 from missionpair.bench import propose
 from missionpair.execution import through_the_gate
@@ -211,8 +211,8 @@ def test_the_command_tells_each_row_and_whether_all_is_as_it_should(
 def test_the_command_shows_how_far_it_is_on_a_terminal(
     yard: Yard, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(cli_mutate, "mutate", lambda _, __, show: (show(1), ())[1])
-    monkeypatch.setattr(cli_mutate, "mutate_safety", lambda *_: ())
+    monkeypatch.setattr(mutation, "mutate", lambda _, __, show: (show(1), ())[1])
+    monkeypatch.setattr(mutation, "mutate_safety", lambda *_: ())
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     monkeypatch.setattr(suites, "load", lambda _: (mission_pairs.suite(ALL["check_object"]), "d"))
     assert cli_mutate.mutate_command("few", most=1) == 0

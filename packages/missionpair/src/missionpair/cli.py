@@ -4,14 +4,11 @@
 from __future__ import annotations
 
 import sys
-from typing import Any, Final, NoReturn
+from typing import Any, Final
 
 import typer
-from typer.exceptions import TyperException
 
 from authguard_r.operations.command_tree import CommandEntry, Program, command_tree
-from authguard_r.operations.usage import message_of, place_of
-from missionpair.faults import FAULTS, USAGE, CommandFault, fault_of
 
 COMMANDS: Final = {
     words: CommandEntry(*told)
@@ -25,11 +22,11 @@ COMMANDS: Final = {
         "require": ("cli_require:require", "Check that logs meet the demands"),
         "mutate": ("cli_mutate:mutate", "Remove each check of the gate in turn, and attack"),
         "perceive": ("cli_perceive:perceive", "Draw and read, speak and hear a suite's texts"),
-        "import agentdojo": ("cli_recorded:agentdojo", "Read the runs of AgentDojo's distribution"),
-        "import steps": ("cli_recorded:steps", "Read replies that are lists of tool and arguments"),
-        "import openai": ("cli_recorded:openai", "Read replies that are chat completions"),
-        "import mcp": ("cli_recorded:mcp", "Read replies that are JSON-RPC requests"),
-        "import langchain": ("cli_recorded:langchain", "Read replies that are LangChain messages"),
+        "import agentdojo": ("cli_import:agentdojo", "Read the runs of AgentDojo's distribution"),
+        "import steps": ("cli_import:steps", "Read replies that are lists of tool and arguments"),
+        "import openai": ("cli_import:openai", "Read replies that are chat completions"),
+        "import mcp": ("cli_import:mcp", "Read replies that are JSON-RPC requests"),
+        "import langchain": ("cli_import:langchain", "Read replies that are LangChain messages"),
         "recorded": ("cli_recorded:recorded", "Test each recorded call against each defense"),
         "approvers": ("cli_approvers:approvers", "Answer approval requests by a script"),
     }.items()
@@ -63,22 +60,15 @@ def main() -> None:
         result = made(prog_name="missionpair", standalone_mode=False)
     except typer.Exit as stop:
         sys.exit(stop.exit_code)
-    except typer.Abort:
-        _fail(CommandFault("ABORTED", "stopped by the user", "", USAGE))
-    except TyperException as error:
-        _fail(CommandFault("USAGE", message_of(error), place_of(error), USAGE))
-    except FAULTS as error:
-        _fail(fault_of(error))
-    except KeyboardInterrupt:
-        text = "stopped; each trial of a campaign that was finished is in its log"
-        _fail(CommandFault("ABORTED", text, "", 130))
+    except (Exception, KeyboardInterrupt) as error:
+        from missionpair.faults import fault_of  # it imports every part that can fail
+
+        fault = fault_of(error)
+        if fault is None:
+            raise
+        if "--json" in sys.argv:
+            sys.stdout.write(fault.as_json() + "\n")
+        else:
+            sys.stderr.write(fault.as_text() + "\n")
+        sys.exit(fault.exit_code)
     sys.exit(result if isinstance(result, int) else 0)
-
-
-def _fail(fault: CommandFault) -> NoReturn:
-    """Say what is wrong where it belongs, and exit with its code."""
-    if "--json" in sys.argv:
-        sys.stdout.write(fault.as_json() + "\n")
-    else:
-        sys.stderr.write(fault.as_text() + "\n")
-    sys.exit(fault.exit_code)

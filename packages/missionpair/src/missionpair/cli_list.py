@@ -10,8 +10,7 @@ from typing import Annotated
 import msgspec
 import typer
 
-from missionpair import attackers, defenses, planners, registry, suites
-from missionpair.campaign.questions import questions
+from missionpair import registry, suites
 from missionpair.cli_run import KindOption, RoundsOption
 from missionpair.words import TrialKind
 
@@ -33,6 +32,8 @@ def list_command(
     answers with `missionpair import`.
     """
     if suite:
+        from missionpair.campaign.questions import questions  # help does not need the gate
+
         kinds = tuple(dict.fromkeys(kind or TrialKind))
         for one in questions(suite, kinds, rounds=rounds or suites.usual(suite).rounds):
             if as_json:
@@ -42,6 +43,8 @@ def list_command(
             line = (one.pair, one.kind, str(one.round), one.task, heard)
             sys.stdout.write("  ".join(filter(None, line)) + "\n")
         return 0
+    from missionpair import attackers, defenses, planners  # help does not need the gate
+
     rooms = {"suites": suites, "planners": planners, "attackers": attackers, "defenses": defenses}
     found = {
         name: {item: registry.help_of(room, item) for item in registry.names(room)}

@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from missionpair import attackers, planners, registry
-from missionpair.campaign.run import CampaignPlan, run
+from missionpair.campaign.plan import CampaignPlan
 from missionpair.cli_progress import shown
 from missionpair.cli_report import report_command
 from missionpair.cli_run import JobsOption, summary_of
@@ -52,6 +52,8 @@ def live_command(
     the paper. Without `--planner`: the paper's two, Claude Haiku 4.5 (needs ANTHROPIC_API_KEY) and
     Qwen2.5 7B over Ollama. A second start continues the first.
     """
+    from missionpair.campaign.run import run  # help does not need the gate
+
     specs = tuple(dict.fromkeys(planner or ("haiku", "qwen")))
     _require(specs)
     out.mkdir(parents=True, exist_ok=True)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 import typer
@@ -14,12 +14,12 @@ import typer
 from missionpair import suites
 from missionpair.campaign.plan import Progress
 from missionpair.cli_progress import shown
-from missionpair.mutation import Mutant, mutate, mutate_safety, slice_of
 from missionpair.pair import Suite
 from missionpair.report.mutation import SCHEMA, Mutation
 from missionpair.report.mutation import MutantReport as Row
-from missionpair.stage import Yard
-from missionpair.tables import as_text
+
+if TYPE_CHECKING:
+    from missionpair.mutation import Mutant
 
 #: Benign runs that the second gate's rules are tried with.
 _BENIGN = 24
@@ -38,6 +38,10 @@ def mutate_command(
     Exit 1 when no attack detects that a check is missing, or when an attack succeeds with every
     check in place.
     """
+    # help does not need the gate
+    from missionpair.mutation import mutate, mutate_safety, slice_of
+    from missionpair.stage import Yard
+
     whole, digest = suites.load(suite)
     some = slice_of(whole, most=most)
     with shown(hidden=as_json, what="pairs") as show, Yard() as yard:
@@ -88,6 +92,8 @@ def _row(mutant: Mutant) -> dict[str, Any]:
 
 
 def _lines(payload: dict[str, Any]) -> list[str]:
+    from missionpair.tables import as_text  # help does not need the gate
+
     shown = [
         {
             "gate": row["gate"],

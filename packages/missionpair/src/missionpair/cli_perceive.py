@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from missionpair import suites
-from missionpair.campaign.run import Progress
+from missionpair.campaign.plan import Progress
 from missionpair.cli_progress import shown
 from missionpair.cli_run import JobsOption
 from missionpair.pair import Suite

@@ -14,8 +14,7 @@ import typer
 from authguard_r.authoring.compile.sources import given_weights
 from missionpair import suites
 from missionpair.campaign.log import read_log
-from missionpair.campaign.run import CampaignPlan, run
-from missionpair.campaign.trial import MOST_TURNS
+from missionpair.campaign.plan import MOST_TURNS, CampaignPlan
 from missionpair.cli_progress import shown
 from missionpair.records import Campaign
 from missionpair.report.names import LIVE_MODEL, standing
@@ -115,6 +114,8 @@ def run_command(
     A log that exists is continued: no trial runs again, and none is lost. With the same seed, a
     deterministic campaign gives the same lines except `timing`, for every `--jobs`.
     """
+    from missionpair.campaign.run import run  # help does not need the gate
+
     usual = suites.usual(suite)
     plan = CampaignPlan(
         suite=suite,

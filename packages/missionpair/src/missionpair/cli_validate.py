@@ -15,7 +15,7 @@ import typer
 
 from missionpair.ablation import CHECKS, without
 from missionpair.bench import Bench, make_bench
-from missionpair.campaign.run import Progress
+from missionpair.campaign.plan import Progress
 from missionpair.cli_progress import shown
 from missionpair.selfchecks import SELF_CHECKS
 from missionpair.suite import ATTACKS, BENIGN

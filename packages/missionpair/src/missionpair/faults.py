@@ -9,7 +9,11 @@ from __future__ import annotations
 import json
 from typing import NamedTuple
 
+import typer
+from typer.exceptions import TyperException
+
 from authguard_r.core.errors import AuthGuardError, EnvironmentFault, shown
+from authguard_r.operations.usage import message_of, place_of
 from missionpair.attackers import AttackerError
 from missionpair.briefing import PlannerError
 from missionpair.campaign.cluster import ClusterError
@@ -20,21 +24,7 @@ from missionpair.registry import SpecificationError
 from missionpair.stage import StageError
 from missionpair.suites import SuiteError
 
-USAGE, UNREADABLE, HERE = 2, 4, 5
-#: Everything that a command says as an error, and nothing as a traceback.
-FAULTS = (
-    AttackerError,
-    AuthGuardError,
-    ClusterError,
-    LogError,
-    OSError,
-    PerceptionError,
-    PlannerError,
-    SourceError,
-    SpecificationError,
-    StageError,
-    SuiteError,
-)
+USAGE, UNREADABLE, HERE, INTERRUPTED = 2, 4, 5, 130
 #: What a planner reads that is not as it has to be, by the code that it says.
 _READ = {"file": "FILE_INVALID", "log": "LOG_INVALID"}
 
@@ -58,9 +48,11 @@ class CommandFault(NamedTuple):
         return f"{self.code}: {where}{shown(self.message)}"
 
 
-def fault_of(error: Exception) -> CommandFault:
-    """Return how an error of `FAULTS` is shown."""
+def fault_of(error: BaseException) -> CommandFault | None:
+    """Return how an error is shown; None: a fault of the program, which is not caught."""
     match error:
+        case typer.Abort() | KeyboardInterrupt() | TyperException():
+            return _of_person(error)
         case SpecificationError():
             return CommandFault("USAGE", str(error), "", USAGE)
         case SourceError() | SuiteError() | StageError():
@@ -74,14 +66,23 @@ def fault_of(error: Exception) -> CommandFault:
             return _of_model(error)
         case ClusterError() | PerceptionError():
             return _of_part(error)
-        case EnvironmentFault():
-            return CommandFault(str(error.reason), error.message, error.where, HERE)
         case AuthGuardError():
-            return CommandFault(str(error.reason), error.message, error.where, UNREADABLE)
+            at = HERE if isinstance(error, EnvironmentFault) else UNREADABLE
+            return CommandFault(str(error.reason), error.message, error.where, at)
         case OSError():
             text, where = error.strerror or str(error), str(error.filename or "")
             return CommandFault("FILE_UNAVAILABLE", text, where, HERE)
-    raise TypeError(f"{type(error).__name__} is shown by nobody") from error
+    return None
+
+
+def _of_person(error: typer.Abort | KeyboardInterrupt | TyperException) -> CommandFault:
+    """Return how a wrong command line, or a person's stop, is shown."""
+    if isinstance(error, TyperException):
+        return CommandFault("USAGE", message_of(error), place_of(error), USAGE)
+    if isinstance(error, typer.Abort):
+        return CommandFault("ABORTED", "stopped by the user", "", USAGE)
+    text = "stopped; the log has each trial of a campaign that was finished"
+    return CommandFault("ABORTED", text, "", INTERRUPTED)
 
 
 def _of_part(error: ClusterError | PerceptionError) -> CommandFault:

@@ -16,6 +16,9 @@ from missionpair.registry import SpecificationError
 from missionpair.score import DEFAULT, Weights
 from missionpair.words import Access, TrialKind
 
+#: Most answers of a planner in one round: seeds stay whole numbers of JSON.
+MOST_TURNS = 30
+
 
 class PlanError(SpecificationError):
     """A campaign that cannot be; the text says what to do."""

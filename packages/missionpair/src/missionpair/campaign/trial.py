@@ -52,8 +52,6 @@ FINAL = frozenset({"cost", "limit", "refused"})
 ENDED = "ended"
 #: A trial's seed has so many bits; those above say which turn it is, those below move with rounds.
 _TURN_BITS = 48
-#: Answers that a planner has in a round at most: seeds stay whole numbers of JSON.
-MOST_TURNS = 30
 
 
 class PairRun:
