@@ -246,3 +246,26 @@ def test_a_sentence_with_line_breaks_cannot_leave_its_comment(console: Console) 
     )
     assert code == 0
     assert yaml.safe_load(out)["task"].startswith("quietly\ngo")
+
+
+def test_a_draft_names_what_its_risk_policy_does_not_list(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The same name is on the card of the compiled mission, and lint finds it."""
+    text = Path(SITE).read_text()
+    assert "kind: medicine" in text
+    site = tmp_path / "site.yaml"
+    site.write_text(text.replace("kind: medicine", "kind: tote", 1))
+    on, target = ("--site", str(site), "--now", NOW), tmp_path / "draft.yaml"
+    assert cli.call(["mission", "draft", DELIVER, *GIVEN, *on, "--out", str(target)]) == 0
+    note = "the risk policy does not list object class `tote` (`package-p1`): it weighs `otherwise`"
+    assert note in capsys.readouterr().out
+    assert f"# {note}" in target.read_text()
+    mission = tmp_path / "m.json"
+    assert cli.call(["mission", "compile", str(target), *on, "--out", str(mission)]) == 0
+    assert "RISK_UNLISTED" in capsys.readouterr().out
+    assert cli.call(["mission", "review", str(mission), "--site", str(site)]) == 0
+    card = capsys.readouterr().out
+    assert (
+        "its risk policy does not list object class `tote` (`package-p1`): each weighs 60" in card
+    )

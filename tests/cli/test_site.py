@@ -157,6 +157,18 @@ def test_check_names_every_fault_at_once(shell: Shell) -> None:
     assert shell("site", "check", "h/site.yaml")[0] == 0
 
 
+def test_check_names_what_the_default_risk_policy_does_not_list(shell: Shell) -> None:
+    text = (shell.folder / "h" / "site.yaml").read_text()
+    assert text.count("kind: medicine") == 2
+    (shell.folder / "t.yaml").write_text(text.replace("kind: medicine", "kind: tote", 1))
+    code, found = shell.json("site", "check", "t.yaml")
+    (note,) = found["notes"]
+    assert (code, "object class `tote` (`package-p1`)" in note) == (0, True)
+    assert "from 60 on 3 people" in note
+    assert "set_pose" not in note  # no mission can grant it
+    assert shell("site", "check", "t.yaml")[1].splitlines()[1] == f"note: {note}"
+
+
 def test_check_names_every_schema_fault_at_once_with_the_allowed_values(shell: Shell) -> None:
     text = (shell.folder / "h" / "site.yaml").read_text()
     for old, new in (

@@ -12,6 +12,7 @@ import typer
 import yaml
 
 from authguard_r.authoring.compile.draft import Draft
+from authguard_r.authoring.compile.unlisted import unlisted
 from authguard_r.authoring.drafting.profile import read_profile
 from authguard_r.authoring.drafting.proposal import (
     DraftProposal,
@@ -32,8 +33,12 @@ from authguard_r.cli.model_server import (
 from authguard_r.core.errors import MalformedError, shown
 from authguard_r.keys.files import PRIVATE, write_whole
 from authguard_r.normalize.parse import read_json
+from authguard_r.site.model import Site
 from authguard_r.site.source import convert, read_text
 from authguard_r.wire.output import emit
+
+#: What becomes of a name without a weight.
+_WEIGHS = "it weighs `otherwise`; give it a weight in `risk_policy`, or in your --profile"
 
 
 class ProposerName(StrEnum):
@@ -96,14 +101,18 @@ def draft_command(
             raise clarification(proposal.questions)
         typed |= {question.field: question for question in proposal.questions}
         settled |= {question.field: _prompt(question) for question in proposal.questions}
-    return _show(proposal, out, as_json=as_json)
+    return _show(proposal, place, out, as_json=as_json)
 
 
-def _show(proposal: DraftProposal, out: Path | None, *, as_json: bool) -> int:
+def _show(proposal: DraftProposal, site: Site, out: Path | None, *, as_json: bool) -> int:
     """Write the draft, or print it where no file was named; what was assumed is always said."""
     text = yaml.safe_dump(proposal.draft, sort_keys=False, allow_unicode=True, width=100)
     noted = [f"assumed {item.field}: {item.value} ({item.why})" for item in proposal.assumed]
+    drafted = check_draft(proposal.draft)
+    names = {name for each in drafted.grants for name in unlisted(drafted.risk_policy, site, each)}
+    notes = [f"the risk policy does not list {name}: {_WEIGHS}" for name in sorted(names)]
     head = [f"proposed by {proposal.proposer}; it authorizes nothing until it is signed", *noted]
+    head += notes
     comments = "".join(f"# {_one_line(line)}\n" for line in head)
     if out is not None:
         write_whole(out, (comments + text).encode("utf-8"), mode=PRIVATE)
@@ -112,6 +121,7 @@ def _show(proposal: DraftProposal, out: Path | None, *, as_json: bool) -> int:
         "proposer": proposal.proposer,
         "draft": proposal.draft,
         "assumed": [msgspec.to_builtins(item) for item in proposal.assumed],
+        "notes": notes,
     }
     lines = (comments + text).splitlines() if out is None else [str(out), *head]
     emit(payload, lines, as_json=as_json)

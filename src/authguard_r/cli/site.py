@@ -10,6 +10,9 @@ from typing import Annotated, Any
 import msgspec
 import typer
 
+from authguard_r.authoring.compile.draft import DraftRisk
+from authguard_r.authoring.compile.unlisted import unlisted_names
+from authguard_r.authoring.drafting.profile import read_profile
 from authguard_r.authoring.site.change import changes, line_of
 from authguard_r.authoring.site.nav2 import import_map
 from authguard_r.authoring.site.picture import picture
@@ -40,7 +43,7 @@ from authguard_r.site.model import (
 from authguard_r.site.names import shown
 from authguard_r.site.places import adjacent
 from authguard_r.site.signed import is_token, read_signed_site, sign_site
-from authguard_r.site.source import as_text, schema_faults
+from authguard_r.site.source import as_text, convert, schema_faults
 from authguard_r.wire.output import emit
 
 SiteArgument = Annotated[Path, typer.Argument(help="The site model (YAML, or a signed token).")]
@@ -64,11 +67,13 @@ def check_command(site: SiteArgument, as_json: JsonFlag = False) -> int:
         return 4
     model = claimed_site(site)
     found, left = faults(model), unreviewed(model)
+    notes = [] if found else _unlisted_notes(model)
     payload = {
         "site": model.id,
         "digest": site_digest(model),
         "faults": [msgspec.to_builtins(fault) for fault in found],
         "unreviewed": list(left),
+        "notes": notes,
     }
     lines = [f"{fault.where}: {fault.message}" for fault in found]
     if not found:
@@ -76,8 +81,26 @@ def check_command(site: SiteArgument, as_json: JsonFlag = False) -> int:
             f"{model.id}: sound, {len(model.regions)} regions, {len(model.objects)} objects"
         )
     lines += [f"{place}: unreviewed; it cannot be signed so" for place in left]
+    lines += [f"note: {note}" for note in notes]
     emit(payload, lines, as_json=as_json)
     return 4 if found else 0
+
+
+def _unlisted_notes(site: Site) -> list[str]:
+    """Return what the shipped risk policy does not list, and what a drafted mission then asks."""
+    grantable = [name for name, model in site.vocabulary.items() if not model.state_writing]
+    shipped = convert(read_profile().risk_policy, DraftRisk, where="profile")
+    names = unlisted_names(
+        shipped, site, types=grantable, objects=site.objects, regions=site.regions
+    )
+    if not names:
+        return []
+    note = (
+        f"the default risk policy does not list {', '.join(names)}: a drafted mission weighs each "
+        f"{shipped.otherwise}; from {shipped.tau_1} on it asks a second person, from "
+        f"{shipped.tau_2} on {shipped.t} people"
+    )
+    return [note]
 
 
 def show_command(

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from msgspec import Struct
 
 from authguard_r.authoring.compile.difference import compare
+from authguard_r.authoring.compile.unlisted import unlisted
 from authguard_r.authoring.compile.worst import facts_for, worst_risk
 from authguard_r.core.encoding import Tag, digest
 from authguard_r.core.facts import SiteFacts
@@ -89,6 +90,9 @@ def _grants(mission: Mission, site: Site, demand: OrganizationDemand | None) -> 
     for grant in mission.actions:
         yield from _grant(grant, site)
         yield f"    {_asked(mission, grant, facts, demand)}"
+        names, weight = unlisted(mission.risk_policy, site, grant), mission.risk_policy.otherwise
+        if names:
+            yield f"      its risk policy does not list {', '.join(names)}: each weighs {weight}"
 
 
 def _grant(grant: Grant, site: Site) -> Iterator[str]:

@@ -71,15 +71,23 @@ def errors(findings: tuple[LintFinding, ...]) -> tuple[LintCode, ...]:
 
 
 def finding_lines(findings: tuple[LintFinding, ...]) -> list[str]:
-    """Return findings for people, each with how to fix it."""
+    """Return findings for people, each with what to do, and where in the draft."""
     return [
         line
         for item in findings
         for line in (
             f"{item.severity.upper():7} {item.code} at {item.where}: {item.message}",
-            f"        mend: {item.mend}",
+            f"        to do{_in_draft(item.where)}: {item.mend}",
         )
     ]
+
+
+def _in_draft(where: str) -> str:
+    """Return the place of a grant's finding in the draft, which has other words for two fields."""
+    if not where.startswith("actions["):
+        return ""
+    place = where.replace("actions[", "grants[").replace("alternatives[", "rows[")
+    return f" in the draft at {place}"
 
 
 __all__ = [

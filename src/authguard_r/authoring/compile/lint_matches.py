@@ -49,7 +49,7 @@ def contradictions(mission: Mission, number: int) -> Iterator[LintFinding]:
 
 
 def _told(where: str, message: str, grant: Grant) -> tuple[str, str, str]:
-    return where, f"`{grant.id}` can never match: {message}", "mend it, or leave it out"
+    return where, f"`{grant.id}` can never match: {message}", "correct it, or leave the grant out"
 
 
 def _capability(scene: LintScene, grant: Grant) -> Iterator[Fault]:

@@ -9,10 +9,12 @@ from authguard_r.authoring.compile import wording
 from authguard_r.authoring.compile.conditions import real_guards
 from authguard_r.authoring.compile.findings import LintFinding, LintScene, error, warning
 from authguard_r.authoring.compile.path import SENSITIVE_TAGS
+from authguard_r.authoring.compile.unlisted import unlisted
 from authguard_r.authoring.compile.worst import reach, worst_risk
 from authguard_r.core.facts import ActionKind
 from authguard_r.core.identifiers import RegionId
 from authguard_r.core.mission import Grant, Guard, Mission
+from authguard_r.core.risk import required, tier_of
 from authguard_r.enforcement.confirmation import LintCode
 from authguard_r.site.model import ActionModel
 
@@ -49,7 +51,10 @@ def _unguarded(mission: Mission, leaving: list[bool]) -> Iterator[LintFinding]:
         if not leaving[number] or real_guards(grant.guards, mission.guards):
             continue
         place, lack = f"actions[{number}].guards", _lack(grant.guards)
-        mend = "add a guard on attested state, such as a low battery or empty hands"
+        mend = (
+            "add a guard on attested state, such as "
+            "`{variable: battery_permille, le: 200, max_age: 2 s}` (the battery is low)"
+        )
         if grant.after:
             message = f"only order holds `{grant.id}` back: {lack}"
             yield warning(LintCode.UNGUARDED_RETURN, place, message, mend)
@@ -198,6 +203,24 @@ def never_asks(scene: LintScene) -> Iterator[LintFinding]:
         )
 
 
+def unlisted_risk(scene: LintScene) -> Iterator[LintFinding]:
+    """A name that the risk policy does not list weighs `otherwise`, which may ask people."""
+    policy = scene.mission.risk_policy
+    asked = required(policy, tier_of(policy, policy.otherwise)) - 1
+    if not asked:
+        return
+    for number, grant in enumerate(scene.mission.actions):
+        names = unlisted(policy, scene.site, grant)
+        if names:
+            yield warning(
+                LintCode.RISK_UNLISTED,
+                f"actions[{number}]",
+                f"the risk policy does not list {', '.join(names)}: each weighs "
+                f"{policy.otherwise}, so `{grant.id}` asks {asked} more people each time",
+                "give each name a weight in `risk_policy` of the draft, and compile it again",
+            )
+
+
 def _is_sensitive(grant: Grant, scene: LintScene) -> bool:
     """True for what touches privacy, hazards, or presses hard."""
     kind: ActionKind | None = scene.facts.vocabulary.get(grant.type)
@@ -220,4 +243,5 @@ SCOPE_RULES: tuple[Rule, ...] = (
     wider_than_task,
     through_sensitive,
     never_asks,
+    unlisted_risk,
 )
