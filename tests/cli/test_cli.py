@@ -371,6 +371,17 @@ def test_a_drifting_robot_is_stopped(shell: Shell, token: str) -> None:
     assert "aborted: OUTSIDE_REGIONS" in ran["alerts"]
 
 
+def test_a_way_to_where_the_robot_is_says_so_and_proposes_no_change(
+    shell: Shell, token: str
+) -> None:
+    words = ("run", "--token", token, *RUN, "--plan", "h/replies/01-collect.json")
+    code, text = shell(*words, "--at", "pharmacy", "--store", "there.db")
+    there = "the robot is already in `pharmacy`: the planner can leave this step out"
+    assert (code, there in text, "a signed next version" in text) == (1, True, False)
+    _, told = shell.json("explain", "--store", "there.db")
+    assert (told["mends"], told["smallest_change"]) == ([there], None)
+
+
 def test_wrong_places_and_things_on_the_command_line_are_usage(shell: Shell, token: str) -> None:
     base = ["run", "--token", token, *RUN, "--plan", "h/replies/01-collect.json"]
     assert shell(*base, "--at", "moon")[0] == 2

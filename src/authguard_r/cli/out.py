@@ -11,6 +11,7 @@ import sys
 from typing import Any
 
 from authguard_r.approvals.organization import VerifiedPolicy
+from authguard_r.authoring.compile.change import already_there
 from authguard_r.core.decision import Decision, Verdict
 from authguard_r.core.errors import (
     ClarificationError,
@@ -57,6 +58,9 @@ def decision_lines(judged: Judged) -> list[str]:
     )
     lines = [f"{judged.decision.verdict.upper():17} {action.type} {shown}"]
     lines += [f"  {_finding_line(finding)}" for finding in judged.decision.findings]
+    there = already_there(action.object, action.source, action.destination)
+    if there and judged.decision.verdict is Verdict.REJECT:
+        lines.append(f"  {there}")
     if judged.safety is not None and not judged.safety.safe:
         lines += [
             f"  safety gate: {f.hazard} at {f.field}: expected {f.expected}, got {f.got}"

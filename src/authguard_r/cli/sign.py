@@ -261,7 +261,8 @@ def accepted_codes(names: list[str], reading: SignerView) -> tuple[LintCode, ...
 
 def refuse_lint(reading: SignerView, codes: list[LintCode], *, as_json: bool) -> int:
     """Say what the signer has to fix or accept, and sign nothing."""
-    message = f"correct the draft, or accept each by name: {' '.join(f'--accept {code}' for code in codes)}"
+    accepted = " ".join(f"--accept {code}" for code in codes)
+    message = f"correct the draft, or accept each by name: {accepted}"
     where = next(f.where for f in reading.findings if f.code in codes)
     if as_json:
         error = {"code": "LINT", "message": message, "where": where}

@@ -15,7 +15,7 @@ import msgspec
 from authguard_r.audit.closed import Closed, closed_of
 from authguard_r.audit.record import NONE, Record, Sealed
 from authguard_r.audit.sealed_envelopes import act_of
-from authguard_r.authoring.compile.change import smallest_change, to_draft
+from authguard_r.authoring.compile.change import already_there, smallest_change, to_draft
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import b64
 from authguard_r.core.errors import MalformedError, RefusedError
@@ -29,6 +29,8 @@ from authguard_r.server.remediation import remedies_of
 
 #: How long the proposed next version would be valid, in milliseconds.
 _VALID_MS = 1_800_000
+#: What a motion to where the robot is can be refused for.
+_PLACES = frozenset({Reason.SOURCE_OUT_OF_SCOPE, Reason.DESTINATION_OUT_OF_SCOPE})
 #: How a person gets the smallest signed change as a draft.
 _DRAFT = "authguard explain {} --draft FILE"
 
@@ -80,7 +82,7 @@ def _explained(
     change = _change(record, values, mission)
     influences = values.get("influences", [])
     emergency = opened.get("what") == EMERGENCY
-    mends = remedies_of(opened.get("reasons") or (), emergency=emergency)
+    mends = _remedies(opened.get("reasons") or (), action, emergency=emergency)
     what = f"emergency {values.get('capability')}" if emergency else _what(record, action)
     return {
         "kind": record.kind,
@@ -101,6 +103,13 @@ def _explained(
         + [f"  to do: {mend}" for mend in mends]
         + ([f"  a signed next version could allow it: {how}"] if change else []),
     }
+
+
+def _remedies(codes: Any, action: Any, *, emergency: bool) -> list[str]:
+    """Return what can be done; of a motion to where the robot is, that alone."""
+    fields = action if isinstance(action, dict) and set(codes) & _PLACES else {}
+    there = already_there(*(fields.get(name) for name in ("object", "source", "destination")))
+    return [there] if there else remedies_of(codes, emergency=emergency)
 
 
 def who_of(record: Record, values: dict[str, Any]) -> str:

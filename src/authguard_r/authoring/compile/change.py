@@ -33,6 +33,19 @@ MENDABLE = frozenset(
 )
 
 
+def already_there(item: object, source: object, destination: object) -> str:
+    """Return what to say of a motion to the place where the robot is; empty for every other action.
+
+    Args:
+        item: the object of the action; one that handles something does more than go there.
+        source: of the action, as it was attested.
+        destination: of the action.
+    """
+    if item is not None or destination is None or source != destination:
+        return ""
+    return f"the robot is already in `{destination}`: the planner can leave this step out"
+
+
 def smallest_change(
     mission: Mission,
     action: Action,
@@ -48,13 +61,16 @@ def smallest_change(
     Args:
         mission: the version that refused.
         action: the refused action.
-        reasons: why; None is returned when a signature cannot fix one of them.
+        reasons: why; None is returned when a signature cannot fix one of them, and for a motion
+            to where the robot is.
         grant: the nearest grant.
         digest: the digest of the version that refused.
         nonce: fresh.
         expiry: the end of the new version when the old one is over.
     """
     if not reasons or not MENDABLE.issuperset(reasons):
+        return None
+    if already_there(action.object, action.source, action.destination):
         return None
     near = next(g for g in mission.actions if g.id == grant)
     amended = _amended(near, action, mission)
