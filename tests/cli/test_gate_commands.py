@@ -38,7 +38,7 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.standing import Standing
 from authguard_r.core.token import open_token
 from authguard_r.enforcement.signed_orders import Command, Verb
-from authguard_r.keys.trust import read_trust
+from authguard_r.keys.trust import Trust, read_trust
 from authguard_r.operations.exposition import exposition
 from authguard_r.store.sqlite import open_store, read_rows
 from authguard_r.wire.messages import ClientRole, Kind, OrderKind
@@ -513,10 +513,12 @@ def test_stop_with_a_store_records_there_and_reaches_no_gate(shell: Shell, token
 def test_resume_is_a_signed_order_over_the_socket(shell: Shell, token: str) -> None:
     seen: list[Any] = []
     standing = {"mid": "m", "version": 1, "status": "active"}
-    with listening(serving({Kind.ORDER: {"standing": standing}}, seen)) as path:
+    ahead_ms = time.time_ns() // 1_000_000 + 45_000  # a simulated robot has moved meanwhile
+    answers = {Kind.STATUS: {"simulated_ms": ahead_ms}, Kind.ORDER: {"standing": standing}}
+    with listening(serving(answers, seen)) as path:
         code, answer = shell.json("resume", token, "--trust", "trust", "--gate", path)
     assert (code, answer) == (0, {"standing": standing, "status": "active"})
-    order = json.loads(seen[0][1].body)
+    order = json.loads(seen[1][1].body)
     assert order["act"] == OrderKind.COMMAND
     opened, _, signer = open_token(
         msgspec.convert(order["token"], bytes),
@@ -527,10 +529,23 @@ def test_resume_is_a_signed_order_over_the_socket(shell: Shell, token: str) -> N
         now=Now(time.time_ns() // 1_000_000, 0),
     )
     assert (opened.verb, signer.id) == (Verb.RESUME, "operator-1")
+    assert opened.issued_ms == ahead_ms
+
+
+def test_only_a_demonstrations_root_takes_time_from_a_gate(
+    shell: Shell, token: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A gate of a real robot that claims to be simulated gets no order for later."""
+    seen: list[Any] = []
+    monkeypatch.setattr(Trust, "demo", False)
+    answers = {Kind.STATUS: {"simulated_ms": 2**50}, Kind.ORDER: {"standing": {"mid": "m"}}}
+    with listening(serving(answers, seen)) as path:
+        assert shell("resume", token, "--trust", "trust", "--gate", path)[0] == 0
+    assert [item.kind for _, item in seen] == [Kind.ORDER]
 
 
 def test_a_resume_that_the_gate_refuses_is_exit_1(shell: Shell, token: str) -> None:
-    with listening(serving({Kind.ORDER: "TRANSITION_REFUSED"})) as path:
+    with listening(serving({Kind.STATUS: {}, Kind.ORDER: "TRANSITION_REFUSED"})) as path:
         code, reason, _ = shell.refused("resume", token, "--trust", "trust", "--gate", path)
     assert (code, reason) == (1, "TRANSITION_REFUSED")
 
@@ -762,14 +777,14 @@ def standing() -> dict[str, Any]:
 
 def test_an_order_goes_to_the_gate_that_holds_the_store(shell: Shell, token: str) -> None:
     seen: list[Any] = []
-    with listening(serving({Kind.ORDER: {"standing": standing()}}, seen)) as path:
+    with listening(serving({Kind.STATUS: {}, Kind.ORDER: {"standing": standing()}}, seen)) as path:
         beside(path)
         code, answer = shell.json("mission", "activate", token, *ON, "--new")
         assert (code, answer["status"]) == (0, "active")
         assert shell("mission", "suspend", token, *ON)[0] == 0
         chosen = ("--grant", "pick", "--row", 0, "--yes")
         assert shell("mission", "choose", token, *ON, *chosen)[0] == 0
-    orders = [json.loads(item.body) for _, item in seen]
+    orders = [json.loads(item.body) for _, item in seen if item.kind is Kind.ORDER]
     assert [order["act"] for order in orders] == [
         OrderKind.ACTIVATE,
         OrderKind.COMMAND,

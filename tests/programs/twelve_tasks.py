@@ -187,17 +187,8 @@ def learns_why_it_refused(me: Person) -> None:
     me.finds("to do: ", shown)
 
 
-def stops_and_resumes(me: Person) -> None:
-    """9: stop the robot, and resume the mission."""
-    me.looks_up("stop")
-    command = me.finds("until `authguard (resume)`", me.types("stop --reason 'a child'"))
-    me.finds("resume.*ends it", me.types("status"))
-    me.finds("token", me.types(f"{command} -h"))
-    me.finds("active", me.types(f"{command} v1.token"))
-
-
 def answers_a_request(me: Person) -> None:
-    """10: answer an open request, as a supervisor."""
+    """9: answer an open request, as a supervisor."""
     if (reasons := me.plans("01-collect.json")) != ["APPROVAL_REQUIRED"]:
         raise LostError(f"the planner's collection: {reasons}")
     command = me.finds(
@@ -209,6 +200,15 @@ def answers_a_request(me: Person) -> None:
     me.types(f"{command} {supervisor} --yes")
     me.plans("01-collect.json")  # it moves now, and asks for the next step
     me.finds("robot: at pharmacy", me.types("status"))
+
+
+def stops_and_resumes(me: Person) -> None:
+    """10: stop the robot that has moved, and resume the mission."""
+    me.looks_up("stop")
+    command = me.finds("until `authguard (resume)`", me.types("stop --reason 'a child'"))
+    me.finds("resume.*ends it", me.types("status"))
+    me.finds("token", me.types(f"{command} -h"))
+    me.finds("active", me.types(f"{command} v1.token"))
 
 
 def revokes_the_mission(me: Person) -> None:
@@ -235,8 +235,8 @@ TASKS: tuple[Callable[[Person], None], ...] = (
     starts_a_gate,
     looks_where_the_robot_is,
     learns_why_it_refused,
-    stops_and_resumes,
     answers_a_request,
+    stops_and_resumes,
     revokes_the_mission,
     verifies_the_log,
 )

@@ -128,6 +128,10 @@ class Remote:
         """Carry out a signed command."""
         return _as(Standing, self._client.command(token))
 
+    def simulated_ms(self) -> int:
+        """Return the gate's simulated wall clock; 0 for a gate with a real one."""
+        return int(self._client.status().get("simulated_ms") or 0)
+
     def select(self, token: bytes) -> Standing:
         """Take in a signed choice of one row."""
         return _as(Standing, self._client.select(token))

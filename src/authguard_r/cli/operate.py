@@ -9,13 +9,25 @@ from typing import Annotated, Any
 import typer
 
 from authguard_r.authoring.compile.request import card, headlines
-from authguard_r.cli.gateway import GateOption, ProofOption, ReadingRole, RoleOption, connected
+from authguard_r.cli.gateway import (
+    GateOption,
+    ProofOption,
+    ReadingRole,
+    Remote,
+    RoleOption,
+    connected,
+)
 from authguard_r.cli.inputs import JsonFlag, TrustOption
 from authguard_r.cli.log_explain import DraftOption, explained, write_change
 from authguard_r.cli.log_reading import strange
 from authguard_r.cli.mission import TokenArgument
-from authguard_r.cli.orders import TemplateOption, signed_order
-from authguard_r.cli.signing_key import CertOption, OrderKeyOption, PassphraseFile
+from authguard_r.cli.orders import (
+    TemplateOption,
+    opened_mission,
+    signed_order,
+    simulated_ms,
+)
+from authguard_r.cli.signing_key import CertOption, OrderKeyOption, PassphraseFile, signer_of
 from authguard_r.cli.status_lines import has_requests, status_lines
 from authguard_r.client import GateClient
 from authguard_r.client.approvals import shown
@@ -49,11 +61,11 @@ def resume_command(
     as_json: JsonFlag = False,
 ) -> int:
     """Resume a stopped or suspended mission: sign the order and send it to the running gate."""
-    signed = signed_order(
-        token, trust, template, key, cert, verb=Verb.RESUME, passphrase_file=passphrase_file
-    )
+    verified = opened_mission(token, trust, template)
+    signer = signer_of(verified.mission.issuer, trust, key, cert, passphrase_file)
     with connected(gate, ReadingRole.OPERATOR, trust) as client:
-        standing = client.command(signed)
+        at_ms = simulated_ms(Remote(client), trust)
+        standing = client.command(signed_order(verified, signer, Verb.RESUME, at_ms))
     payload = {"standing": standing, "status": standing.get("status")}
     line = f"{standing.get('mid')} version {standing.get('version')}: {standing.get('status')}"
     emit(payload, [line], as_json=as_json)

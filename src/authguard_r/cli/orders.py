@@ -15,7 +15,7 @@ import typer
 
 from authguard_r.approvals import Selection
 from authguard_r.cli.ask import confirm_shown
-from authguard_r.cli.gateway import Orders, running_gate
+from authguard_r.cli.gateway import Orders, Remote, running_gate
 from authguard_r.cli.inputs import (
     JsonFlag,
     SiteOption,
@@ -144,11 +144,14 @@ def _order(verb: Verb) -> Callable[..., int]:
         counter: CounterOption = None,
         as_json: JsonFlag = False,
     ) -> int:
-        signed = signed_order(
-            token, trust, template, key, cert, verb=verb, passphrase_file=passphrase_file
-        )
+        verified = opened_mission(token, trust, template)
+        signer = signer_of(verified.mission.issuer, trust, key, cert, passphrase_file)
         place = OfflineStore(store=store, trust=trust, site=site, robot=robot, counter=counter)
-        return manage(place, lambda m: m.command(signed), as_json=as_json)
+        return manage(
+            place,
+            lambda m: m.command(signed_order(verified, signer, verb, simulated_ms(m, trust))),
+            as_json=as_json,
+        )
 
     order.__doc__ = {
         Verb.REVOKE: "End a mission now; the gate refuses its next action.",
@@ -183,7 +186,7 @@ def resolve_command(
     """Sign how an action ended that the gate could not observe."""
     verified = opened_mission(token, trust, template)
     signer = signer_of(verified.mission.issuer, trust, key, cert, passphrase_file)
-    signed = _command(
+    signed = signed_order(
         verified, signer, Verb.RESOLVE, ticket=Digest(ticket), outcome=Outcome(outcome)
     )
     place = OfflineStore(store=store, trust=trust, site=site, robot=robot, counter=counter)
@@ -296,15 +299,37 @@ def opened_mission(token: Path, trust: Path, template: Path | None) -> VerifiedM
     return instantiate(read_file(token), held, verifier=anchor, now=at).mission
 
 
-def _command(
+def simulated_ms(orders: Orders, trust: Path) -> int:
+    """Return the clock of a demonstration's gate that simulates its robot; 0 for every other.
+
+    Simulated time runs ahead of the signer's clock while the robot moves. A trust root that is not
+    a demonstration's takes no time from a gate.
+    """
+    if not isinstance(orders, Remote) or not read_trust(trust).demo:
+        return 0
+    return orders.simulated_ms()
+
+
+def signed_order(
     verified: VerifiedMission,
     signer: FileSigner,
     verb: Verb,
+    at_ms: int = 0,
     *,
     ticket: Digest | None = None,
     outcome: Outcome | None = None,
 ) -> bytes:
-    now_ms = wall_now(None).utc_ms
+    """Return a signed command about a mission, valid for two minutes.
+
+    Args:
+        verified: the mission.
+        signer: who gives the order.
+        verb: the order.
+        at_ms: a simulated clock that the order must not be behind.
+        ticket: the open release, for `resolve`.
+        outcome: how it ended, for `resolve`.
+    """
+    now_ms = max(wall_now(None).utc_ms, at_ms)
     command = Command(
         verb=verb,
         mid=verified.mission.mid,
@@ -317,29 +342,3 @@ def _command(
         outcome=outcome,
     )
     return sign_object(command, Tag.COMMAND, signer)
-
-
-def signed_order(
-    token: Path,
-    trust: Path,
-    template: Path | None,
-    key: Path | None,
-    cert: Path | None,
-    *,
-    verb: Verb,
-    passphrase_file: Path | None = None,
-) -> bytes:
-    """Return a signed command about a mission, worth two minutes.
-
-    Args:
-        token: the mission's token, or an instance.
-        trust: the trust folder.
-        template: the signed template, when the token is an instance.
-        key: who gives the order; None takes the folder's issuer.
-        cert: the key's certificates.
-        verb: the order.
-        passphrase_file: what opens the key, when a passphrase is needed.
-    """
-    verified = opened_mission(token, trust, template)
-    signer = signer_of(verified.mission.issuer, trust, key, cert, passphrase_file)
-    return _command(verified, signer, verb)

@@ -50,6 +50,7 @@ class GateQueries:
         free_bytes: returns what the store's disk has left; None where there is no disk.
         stop_process_alive: returns whether the stop process answers; None where there is none.
         emergency: returns what `status` shows of emergencies; None without a signed policy.
+        simulated: the gate's clock is that of a simulated robot, which runs ahead while it moves.
     """
 
     def __init__(
@@ -64,6 +65,7 @@ class GateQueries:
         free_bytes: Callable[[], int] | None,
         stop_process_alive: Callable[[], bool] | None,
         emergency: Callable[[], dict[str, Any]] | None,
+        simulated: bool,
     ) -> None:
         self._gate = gate
         self._config = config
@@ -78,6 +80,7 @@ class GateQueries:
         self._free_bytes = free_bytes
         self._estop_alive = stop_process_alive
         self._emergency = emergency
+        self._simulated = simulated
 
     @property
     def uptime_ms(self) -> int:
@@ -112,10 +115,12 @@ class GateQueries:
         """Return what `authguard status` shows."""
         ledger, now_ms = self._gate.ledger, self._gate.ledger.mono_ms()
         size, head = ledger.peek(lambda turn: turn.head())
+        simulated = quietly(ledger.now) if self._simulated else None
         return {
             "robot": self._config.robot,
             "mode": str(self._config.mode),
             "uptime_ms": self.uptime_ms,
+            "simulated_ms": None if simulated is None else simulated.utc_ms,
             "mission": self.mission.shown(),
             **self._robot(now_ms),
             "last_refusal": self._refusal(now_ms),

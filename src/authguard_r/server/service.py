@@ -124,6 +124,7 @@ class Service:
             free_bytes=self._parts.free_bytes,
             stop_process_alive=self._parts.stop_process_alive,
             emergency=None if self.emergencies is None else self.emergencies.shown,
+            simulated=self._advance is not None,
         )
 
     def _emergency_calls(self) -> EmergencyCalls | None:
