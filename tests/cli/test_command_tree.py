@@ -90,12 +90,15 @@ def test_a_shell_completes_commands_from_the_table() -> None:
     assert (done.stdout.split(), done.stderr) == (["verify"], "")
 
 
-def shown_at_terminal(**more: str) -> str:
-    """Return what `authguard mission` prints at a terminal."""
+def shown_at_terminal(*words: str, **more: str) -> str:
+    """Return what `authguard` prints at a terminal, `mission` where no words are given."""
     outer, inner = pty.openpty()
     kept = {k: v for k, v in os.environ.items() if k not in {"NO_COLOR", "TERM", *more}}
     child = subprocess.Popen(
-        [PROGRAM, "mission"], stdout=inner, env={**kept, "TERM": "xterm", **more}
+        [PROGRAM, *(words or ("mission",))],
+        stdout=inner,
+        stderr=inner,
+        env={**kept, "TERM": "xterm", **more},
     )
     os.close(inner)
     child.wait(timeout=60)
@@ -115,6 +118,12 @@ def test_help_has_colors_on_a_terminal_unless_they_are_unwanted() -> None:
     assert "\x1b[" in colors
     assert "\x1b[" not in plain
     assert shown_at_terminal(NO_COLOR="1") == shown_at_terminal(TERM="dumb") == plain
+
+
+def test_the_code_of_an_error_has_a_color_on_a_terminal_unless_it_is_unwanted() -> None:
+    wrong = ("site", "check", "gone.yaml")
+    assert shown_at_terminal(*wrong).startswith("\x1b[1;31mFILE_UNAVAILABLE\x1b[0m: cannot read ")
+    assert shown_at_terminal(*wrong, NO_COLOR="1").startswith("FILE_UNAVAILABLE: cannot read ")
 
 
 def test_a_command_line_imports_its_own_command_alone() -> None:

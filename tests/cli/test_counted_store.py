@@ -147,14 +147,14 @@ def test_each_doubt_names_its_own_way_out() -> None:
             signed_away = why not in {Discrepancy.COUNTER_UNREADABLE, Discrepancy.COUNTER_NOT_NAMED}
             assert ("authguard recover" in way) is signed_away
             is_old = why in {Discrepancy.BEHIND, Discrepancy.FORKED}
-            assert head.startswith("STORE PUT BACK") is is_old
+            assert head.startswith("STORE ROLLED BACK") is is_old
             if not signed_away:
                 assert "--counter" in way
 
 
 def test_a_doubt_that_is_not_known_here_is_told_all_the_same() -> None:
     said = {"state": "put_back", "why": "something new", "message": "it differs"}
-    assert "STORE PUT BACK: it differs" in status_lines({"anchor": said})
+    assert "STORE ROLLED BACK: it differs" in status_lines({"anchor": said})
 
 
 @pytest.mark.parametrize(

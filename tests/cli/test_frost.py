@@ -222,7 +222,7 @@ def test_a_part_that_does_not_hold_names_its_giver(desk: Desk) -> None:
     part = read(path.read_bytes(), SignatureShare, where="")
     path.write_bytes(encode(spoiled(part, share=one_more(part.share))))
     said = desk.refused(*aggregate_words("ana", "cho", signers=signers), code=4)
-    assert said == "SIGNATURE_INVALID: the share of `cho` does not hold"
+    assert said == "SIGNATURE_INVALID: the share of `cho` is not valid"
     assert not Path("a.token").exists()
 
 

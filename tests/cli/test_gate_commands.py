@@ -213,7 +213,7 @@ def test_status_tells_a_person_how_things_stand(shell: Shell) -> None:
         "last message: planner 1 min 30 s ago, estimator 0.1 s ago, controller never",
         "client: planner llm (user 1000), idle 1 min 30 s",
         "refused: open GUARD_FALSE, folded 12",
-        "disk: 5 MiB free, 1 MiB kept back",
+        "disk: 5 MiB free, 1 MiB reserved",
         "stops: 3; log: 120 records",
     ]
 
@@ -424,7 +424,7 @@ def test_at_a_terminal_watch_draws_status_and_events_together(program: Any) -> N
     ("said", "code", "words"),
     [
         ({"stopped": True, "controller": True, "after_ms": 41}, 0, "stands after 41 ms"),
-        ({"stopped": False, "controller": True, "after_ms": 9}, 5, "did not say that it stands"),
+        ({"stopped": False, "controller": True, "after_ms": 9}, 5, "did not confirm that"),
         ({"stopped": False, "controller": False, "after_ms": 0}, 5, "no controller is connected"),
     ],
 )
@@ -610,7 +610,7 @@ def test_the_log_of_a_gate_that_runs_is_told_by_it(shell: Shell, token: str, rol
     # the file holds a checkpoint that nobody's key was named for; a gate tells records alone
     assert told[1] == {**from_file[1], "told_by": 4711, "not_verified": [], "held_to": []}
     assert told[2] == from_file[2]
-    assert "told by the gate that runs (process 4711)" in text
+    assert "read from the running gate (process 4711)" in text
 
 
 def test_a_gate_that_tells_another_log_is_not_whole(shell: Shell, token: str) -> None:

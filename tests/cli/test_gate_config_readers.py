@@ -237,7 +237,7 @@ def test_a_log_that_nobody_could_replay_is_warned_of(shell: Shell) -> None:
     assert (code, found["level"]) == (0, "warning")
     assert (
         found["message"]
-        == "nobody may read all of object, person, region: nobody can replay this log"
+        == "no one may read all of object, person, region: no one can replay this log"
     )
     for classes in ("[region]", "[region, object, person]"):  # what is not sealed, anybody reads
         wrote(f"[{{role: a, classes: {classes}, key: {KEY}}}]")

@@ -180,10 +180,10 @@ def test_a_log_that_is_not_whole_says_what_it_was_held_to(session: Desk) -> None
             code, text = session("audit", "verify", name, *given)
             first, *rest = text.splitlines()
             assert (code, first.startswith(f"NOT WHOLE at {where}: ")) == (1, True)
-            assert rest == [f"  held to {word}" for word in words]
+            assert rest == [f"  compared with {word}" for word in words]
     whole = session.json("audit", "verify", session.export(ROWS, None), *both)[1]
     assert whole["held_to"] == whole["anchors"] == [["signed-terminal", 5], checkpoint]
-    assert "held to" not in session("audit", "verify", "log.jsonl", *both)[1]
+    assert "compared with" not in session("audit", "verify", "log.jsonl", *both)[1]
 
 
 def test_a_key_that_signed_nothing_here_is_not_authentic(session: Desk) -> None:

@@ -310,7 +310,10 @@ def test_a_script_with_the_site_prints_the_card_that_it_confirms(shell: Shell) -
 def test_nobody_signs_what_was_not_shown(shell: Shell, typed: str | None) -> None:
     compiled(shell)
     code, text = sign(shell, typed=typed)
-    assert (code, "name the site with --site: nobody signs what was not shown" in text) == (2, True)
+    assert (
+        code,
+        "name the site with --site: the card that you sign is made from it" in text,
+    ) == (2, True)
     assert not Path("m.token").exists()
     assert not Path("m.confirmation.json").exists()
 
@@ -491,7 +494,7 @@ def test_an_activation_without_a_confirmation_warns_and_the_record_says_so(shell
     assert sign(shell, *SITE, "--yes")[0] == 0
     Path("m.confirmation.json").unlink()
     code, text = shell("mission", "activate", "m.token", *AT, "--new")
-    assert (code, "WARNING no confirmation lies beside the token" in text) == (0, True)
+    assert (code, "WARNING no confirmation lies next to the token" in text) == (0, True)
     assert activation(shell)["values"]["confirmation"] == "none"
     assert "version 1, no confirmation" in shell("audit", "show", "r.db")[1]
 

@@ -304,13 +304,13 @@ def test_the_card_names_rules_and_the_checker_and_cannot_be_forged(shell: Shell)
     Path("s.yaml").write_text(
         SOUND + "rules:\n"
         "  - {id: plain, formula: F destination = dock}\n"
-        "  - {id: said, formula: F destination = dock, message: 'x\" told as \"y'}\n"
+        "  - {id: said, formula: F destination = dock, message: 'x\" message \"y'}\n"
         f"checker: {{id: mine, socket: /run/c, timeout: 51 ms, uid: {USER.pw_uid}}}\n"
     )
     code, shown = shell(*signing())
     assert code == 0
     assert '  rule plain: "F destination = dock"\n' in shown
-    assert '  rule said: "F destination = dock", told as "x\\u{22} told as \\u{22}y"\n' in shown
+    assert '  rule said: "F destination = dock", message "x\\u{22} message \\u{22}y"\n' in shown
     assert f"  asks mine at /run/c, user {USER.pw_uid} ({USER.pw_name}), within 0.051 s\n" in shown
     assert "NOT FOR `authguard gate`: it takes a checker that answers within 0.05 s" in shown
 

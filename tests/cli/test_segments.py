@@ -206,7 +206,7 @@ def test_each_segment_is_listed_and_held_to_the_key(
     _, text = said(capsys, "segments", kept)
     assert text.count("not verified") == 2
     assert f"{files[1]}: records {FIRST} to {SECOND - 1}, " in text
-    assert said(capsys, "segments", kept, *KEY)[1].count("checkpoint holds") == 2
+    assert said(capsys, "segments", kept, *KEY)[1].count("checkpoint verified") == 2
 
 
 def test_a_store_without_segments_has_none(

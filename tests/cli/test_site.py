@@ -464,3 +464,12 @@ def test_what_a_word_can_do_at_worst_is_shown(shell: Shell) -> None:
     code, answer = shell.json("site", "diff", "h/site.yaml", "worse.yaml")
     (change,) = answer["changes"]
     assert (code, change["effect"], change["where"]) == (1, "meaning", "vocabulary.pick.physical")
+
+
+def test_a_file_of_another_kind_is_named(shell: Shell) -> None:
+    (shell.folder / "b.yaml").write_bytes((shell.folder / "h" / "binding.yaml").read_bytes())
+    code, out = shell("site", "check", "b.yaml")
+    assert (code, "this file is a binding: got " in out) == (4, True)
+    assert "expected `authguard-r/site/1`" in out
+    code, out = shell("mission", "compile", "h/site.yaml", "--site", "h/site.yaml")
+    assert (code, "this file is a site: " in out) == (4, True)

@@ -168,16 +168,15 @@ def test_the_card_names_the_organization_and_asks_whom_the_stricter_asks(shell: 
         asked.format(20),
         asked.format(10),
         asked.format(15),
-        "    asks nobody: its risk is at most 0 by either policy",
+        "    asks no second person: its risk is at most 0 by either policy",
         asked.format(10),
     ]
     start = card["card"].index(
-        "Beside it counts the risk policy of hospital, version 7: each grant asks whom the "
-        "stricter of both asks"
+        "The risk policy of hospital, version 7: each grant asks whom the stricter of both asks"
     )
     assert card["card"][start + 1 : start + 3] == [
         (
-            "  below its risk 10 it asks nobody; from 10 a second person, from 10 on 3 people in "
+            "  below its risk 10 it asks no one; from 10 a second person, from 10 on 3 people in "
             "all, the signer included"
         ),
         "  of the roles that both name: safety_officer; a request lives 1 min",

@@ -637,7 +637,7 @@ def test_a_disk_that_is_short_stops_the_copying_and_has_its_place_back(
     begin()
     page()
     monkeypatch.setattr(store, "restore", lambda: False)
-    with pytest.raises(StoreError, match="beside the reserve") as told:
+    with pytest.raises(StoreError, match="above the reserve") as told:
         page()
     assert told.value.reason is Reason.STORE_FULL
     mover.abandon()

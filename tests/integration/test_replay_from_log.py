@@ -541,7 +541,7 @@ def test_a_mission_that_nobody_signed_is_found_with_a_trust_folder() -> None:
     log = forged(rows, verbs(rows, "activate")[0], unsigned)
     found = again(log, scenarios.trust_folder())
     assert (found.differ, found.agree, found.not_replayable) == (1, 0, 6)
-    assert list(found.left) == ["its mission does not hold"]
+    assert list(found.left) == ["its mission is not valid"]
     assert again(log).agree == 6
 
 

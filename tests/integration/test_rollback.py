@@ -126,7 +126,7 @@ def test_a_snapshot_that_is_put_back_waits_for_a_signed_order_and_a_resume(
     assert gate.mission_status == "suspended"
     assert gate.refused() == ["ROLLED_BACK"]
     with operator(gate) as person:
-        assert "the store was put back" in [a["what"] for a in person.status()["alerts"]]
+        assert "the store was rolled back" in [a["what"] for a in person.status()["alerts"]]
         with pytest.raises(AuthGuardError) as refused:
             person.command(order(gate, mission, digest, Verb.RESUME))
         assert refused.value.reason == "ROLLED_BACK"
@@ -136,7 +136,7 @@ def test_a_snapshot_that_is_put_back_waits_for_a_signed_order_and_a_resume(
         assert "ROLLED_BACK" in person.metrics() or person.records(0)["records"]
     with GateClient.connect(gate.stop_socket, role=ClientRole.PLANNER) as hand:
         assert hand.stop()["stopped"] is True
-    (alert,) = [r for r in gate.records() if r.open.get("what") == "the store was put back"]
+    (alert,) = [r for r in gate.records() if r.open.get("what") == "the store was rolled back"]
     assert alert.open["counted"] > alert.open["size"]
     assert '"why":"behind"' in gate.said()
 

@@ -104,7 +104,7 @@ def test_a_restored_store_is_caught_by_witnesses_alone(gate: WitnessedGate) -> N
     gate.start_gate()
     size = gate.anchor["counted"]
     put_back(gate, "behind")
-    alerts = [r for r in gate.records() if r.open.get("what") == "the store was put back"]
+    alerts = [r for r in gate.records() if r.open.get("what") == "the store was rolled back"]
     assert alerts[0].open["counted"] == size > alerts[0].open["size"]
     # what it refused has made it longer, but not the log that was seen
     assert gate.anchor["state"] == "put_back"

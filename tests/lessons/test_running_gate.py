@@ -224,7 +224,7 @@ def test_l8_a_stop_that_nobody_confirmed_and_one_that_was_refused_are_written_do
     assert record.open["stood_ms"] == -1
     assert record.sealed["why"] == "nobody is there"
     (alert,) = until(lambda: news("alert"), "the alert")
-    assert alert.open["what"] == "nobody confirmed a stop"
+    assert alert.open["what"] == "a stop was not confirmed"
     with pytest.raises(AuthenticityError):
         GateClient.connect(lane.stop_socket, role=ClientRole.PLANNER, client="forged")
     said = lane.run / "stop-lane.log"

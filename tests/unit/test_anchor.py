@@ -291,7 +291,7 @@ def test_a_store_that_was_put_back_is_caught_and_refuses(robot: Robot) -> None:
     made, sim = rolled_back(robot)
     assert sim.gate.anchor.why is Discrepancy.BEHIND
     (alert,) = alerts(sim)
-    assert (alert["what"], alert["why"]) == ("the store was put back", "behind")
+    assert (alert["what"], alert["why"]) == ("the store was rolled back", "behind")
     assert alert["counted"] > alert["size"]
     assert sim.gate.ledger.standing(made.mid).status == "suspended"
     assert scenarios.propose(sim, GO).refusal.reason is Reason.ROLLED_BACK
@@ -478,7 +478,7 @@ def test_work_goes_on_after_a_signed_order_and_a_resume(robot: Robot, by: str) -
     accepted = sim.gate.ledger.last_ms()
     for issued_ms in (0, accepted):  # it may be one of the lost part
         early = command(Verb.RESUME, made, at=accepted, issued_ms=issued_ms)
-        with pytest.raises(AuthGuardError, match="sign it anew") as old:
+        with pytest.raises(AuthGuardError, match="sign it again") as old:
             sim.gate.management.command(early)
         assert (old.value.reason, old.value.where) == (Reason.ROLLED_BACK, "command.issued_ms")
     late = command(Verb.RESUME, made, at=accepted, issued_ms=accepted + 1)

@@ -287,12 +287,12 @@ def test_the_card_says_everything_that_counts(bench: Bench) -> None:
         "; DENIED",
         "may answer: safety_officer, supervisor; not operator-1",
         "whose certificates name courier-1 and dock, isolation-room",
-        "holds: battery_permille is at least 20 %",
+        "met: battery_permille is at least 20 %",
     ):
         assert part in text, part
     listed = "\n".join(brief(found, shown(found)))
     for part in (
-        "DENIED: closed; the next proposal is told so",
+        "DENIED: closed; the next proposal gets this answer",
         "DENIES",
         "may answer: safety_officer, supervisor",
     ):
@@ -314,13 +314,13 @@ def test_odd_requests_are_said_plainly(bench: Bench) -> None:
     opened = shown(found)
     lonely = msgspec.structs.replace(found, roles=(), places=(), left_ms=-1)
     text = "\n".join(card(lonely, opened))
-    assert "may answer: NOBODY" in text
+    assert "may answer: NO ONE" in text
     assert "RAN OUT" in text
     anywhere = msgspec.structs.replace(found, places=())
     assert "whose certificates name courier-1\n" in "\n".join([*card(anywhere, opened), ""])
     false = msgspec.structs.replace(found.guards[0], held=False)
     unheld = msgspec.structs.replace(found, guards=(false,))
-    assert "DOES NOT HOLD: battery" in "\n".join(card(unheld, opened))
+    assert "NOT MET: battery" in "\n".join(card(unheld, opened))
 
 
 def test_things_routes_and_bare_numbers_are_said(bench: Bench) -> None:

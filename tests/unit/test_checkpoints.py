@@ -294,7 +294,7 @@ def test_a_gate_on_a_log_that_is_not_its_checkpoints_decides_nothing() -> None:
     shown = sim.gate.anchor.shown()
     assert (shown["state"], shown["by"], shown["counted"]) == ("put_back", "store", None)
     assert sim.gate.anchor.tick() == ()
-    alerts = [r for r in told(sim) if r["what"] == "the store was put back"]
+    alerts = [r for r in told(sim) if r["what"] == "the store was rolled back"]
     assert [alert["why"] for alert in alerts] == ["checkpoint_differs"]
     assert "number" not in alerts[0]
 

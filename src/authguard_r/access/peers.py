@@ -62,7 +62,7 @@ def peer_of(sock: Socket) -> PeerCredentials:
         raise _denied(f"the kernel does not say who is there: {error.strerror}") from error
     pid, uid, gid = _UCRED.unpack(data)
     if uid == _NO_USER:
-        raise _denied("the kernel says that nobody is there")
+        raise _denied("the kernel names no peer process")
     return PeerCredentials(pid=pid, uid=uid, gid=gid)
 
 
@@ -78,7 +78,7 @@ def client_role(config: GateConfig, uid: int, wanted: ClientRole) -> ClientRole:
         AuthenticityError: the configuration does not give the user this role.
     """
     if uid == OVERFLOW_UID:
-        raise _denied(f"user {uid} stands for everybody whom this machine does not know")
+        raise _denied(f"user {uid} is the overflow user: it stands for every unknown user")
     if wanted is ClientRole.GATE or wanted not in roles_of(config, uid):
         raise _denied(f"user {uid} may not be `{wanted}` here")
     return wanted

@@ -39,7 +39,7 @@ from authguard_r.store.transactions import Ledger, Transaction
 #: Where the store holds the number of a counter that it knows of.
 KIND, KNOWN = "counter", "known"
 #: What the alert and its record say.
-WHAT = "the store was put back"
+WHAT = "the store was rolled back"
 #: What the alert of witnesses that confirm nothing says.
 SILENT = "the witnesses are silent"
 
@@ -210,7 +210,7 @@ class StoreAnchor:
         """Write how far the log has come; it is kept when this returns. Not inside a turn.
 
         Raises:
-            RefusedError: the store was put back, and what is known of it is not overwritten.
+            RefusedError: the store was rolled back, and what is known of it is not overwritten.
             EnvironmentFault: the counter cannot be written.
         """
         self.require()

@@ -29,12 +29,12 @@ class Discrepancy(StrEnum):
 
 
 SAID = {
-    Discrepancy.BEHIND: "the log has fewer records than were counted: an older copy was put back",
+    Discrepancy.BEHIND: "the log has fewer records than were counted: an older copy was restored",
     Discrepancy.REPLACED: "another store was counted: this one is new, or not this robot's last",
     Discrepancy.FORKED: "the log is not the one that was counted: a copy of it went on elsewhere",
     Discrepancy.CHECKPOINT_DIFFERS: "the log is not the one of its own checkpoint: it was changed",
     Discrepancy.COUNTER_MISSING: "the store was counted, and the counter is gone",
-    Discrepancy.COUNTER_BEHIND: "the counter is older than the store knows: it was put back",
+    Discrepancy.COUNTER_BEHIND: "the counter is older than the store knows: it was rolled back",
     Discrepancy.COUNTER_FOREIGN: "the counter is damaged, or not written by this robot's gate",
     Discrepancy.COUNTER_UNREADABLE: "the counter cannot be read",
     Discrepancy.COUNTER_NOT_NAMED: "the store was counted, and no counter was named",

@@ -95,7 +95,7 @@ class PreApprovalStore:
             and one.preapproval.mission == said.mission
         ]
         if len(others) >= MOST_KEPT:
-            text = f"{MOST_KEPT} pre-approvals are kept already: withdraw one (`--uses 0`)"
+            text = f"{MOST_KEPT} pre-approvals exist already: withdraw one (`--uses 0`)"
             raise RefusedError(text, reason=Reason.BUSY, where="preapproval")
         if said.uses:
             others.append((item, token))

@@ -283,9 +283,9 @@ class _Against:
         while self._left and self._left[-1].size == size:
             anchor = self._left.pop()
             if anchor.head is not None and anchor.head != head:
-                return f"expected the signed head {b64(anchor.head)}: changed and chained anew"
+                return f"expected the signed head {b64(anchor.head)}: changed and chained again"
             if anchor.root is not None and anchor.root != self._root():
-                return f"expected the signed root {b64(anchor.root)}: changed and chained anew"
+                return f"expected the signed root {b64(anchor.root)}: changed and chained again"
             if anchor.by != "claimed":
                 self.fitting.append((anchor.by, size))
         return ""

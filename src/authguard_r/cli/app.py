@@ -122,7 +122,7 @@ COMMANDS: Final = {
         "keys install": ("key_answers:install", "Install the answer to a request"),
         "keys rotate": ("key_requests:rotate", "Request the next key of the same name"),
         "keys revoke": ("key_lists:revoke", "Revoke certificates"),
-        "keys lists": ("key_lists:lists", "Sign the revocation lists anew"),
+        "keys lists": ("key_lists:lists", "Sign the revocation lists again"),
         "keys show": ("key_lists:show", "Show who may sign what, and until when"),
         "keys protect": ("key_files:protect", "Encrypt a key file with a passphrase"),
         "keys unprotect": ("key_files:unprotect", "Decrypt a key file"),

@@ -181,7 +181,7 @@ def _answer(
     behind = None if left is None else left.behind
     in_vain = verdict is ApprovalVerdict.APPROVE and left is not None and left.denied
     if in_vain:
-        result = [f"{said}, but somebody denied: the request is closed"]
+        result = [f"{said}, but another approver denied: the request is closed"]
     elif worth:
         result = [f"{said}, but it does not count: {worth}"]
     elif left is not None and verdict is ApprovalVerdict.APPROVE:

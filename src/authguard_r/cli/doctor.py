@@ -233,7 +233,7 @@ def _open(model: Site | None, path: Path | None) -> Iterator[Advice]:
     """Yield what a skeleton or an import left for a person to say."""
     mend = f"authguard site check {path}"
     for place in () if model is None else unreviewed(model):
-        message = "unreviewed: nobody has looked at it, and nobody can sign it so"
+        message = "unreviewed: review it; until then it cannot be signed"
         yield warning("site", AdviceCode.SITE, message, place=place, mend=mend)
     for robot, held in () if model is None else model.robots.items():
         if not held.profile.tools:

@@ -123,7 +123,7 @@ def _clocks(ros: RosMap) -> Iterator[Advice]:
             "ros clock", AdviceCode.ROS_CLOCK, message, place=f"processes.{enclave}", mend=mend
         )
     if not found:
-        message = "nobody may publish `/clock`; ours count on the monotonic clock alone"
+        message = "no process may publish `/clock`; the gate uses the monotonic clock alone"
         yield fine("ros clock", AdviceCode.ROS_CLOCK, message)
 
 
@@ -158,7 +158,7 @@ def _library(environment: Mapping[str, str]) -> Path | None:
 def _types(ros: RosMap) -> Iterator[Advice]:
     """Whether every type of the map is installed here."""
     if find_spec("rclpy") is None or find_spec("rosidl_parser") is None:
-        message = "no rclpy here: nobody looked whether the types of the map are installed"
+        message = "no rclpy here: whether the types of the map are installed is unknown"
         yield warning(_TYPES, AdviceCode.ROS_TYPE, message, mend="source ROS 2, and ask again")
         return
     from authguard_r.integrations.ros.nodes.values import load_type
@@ -230,7 +230,7 @@ def _keystore(ros: RosMap, folder: Path, uid: int) -> Iterator[Advice]:
         message = f"of every enclave there, `{ros.enclaves.gate}` alone can move the robot"
         yield fine(_KEYSTORE, AdviceCode.ROS_KEYSTORE, message, place=str(folder))
     for path in sorted((folder / PRIVATE).glob("*.key.pem")):
-        message = "an authority's key: whoever has it can make himself any process"
+        message = "an authority's key: anyone who has it can act as any process"
         yield warning(
             _KEYSTORE, AdviceCode.STRAY_KEY, message, place=str(path), mend="keep it off the robot"
         )

@@ -207,7 +207,7 @@ def _told_lines(told: dict[str, Any]) -> Iterator[str]:
     why = f" ({', '.join(execution['reasons'])})" if execution["reasons"] else ""
     yield f"{told['capability']}: {execution['outcome']}{why}"
     if not execution["recorded"]:
-        yield "  WARNING: nobody could record how it ended"
+        yield "  WARNING: its end could not be recorded"
 
 
 def claimed_policy(data: bytes) -> EmergencyPolicy:

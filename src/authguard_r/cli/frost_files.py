@@ -140,7 +140,7 @@ def ballot_lines(ballot: Ballot) -> list[str]:
         f"mission {approval.mid} version {approval.version}, grant {approval.grant}",
         f"  digest {approval.mission}",
         f"risk tier {ballot.situation.tier}; {_held(ballot.situation.guards)}",
-        f"request {approval.counter}, worth nothing after {to_timestamp(approval.expires_ms)}",
+        f"request {approval.counter}, expires {to_timestamp(approval.expires_ms)}",
     ]
 
 

@@ -89,7 +89,7 @@ def offer(plan_file: Path, member: str, secret: Path, out: Path, *, as_json: boo
     kept, made = dkg.begin(agreed, list(agreed.members).index(names((member,))[0]) + 1)
     store(secret, kept)
     store(out, made)
-    lines = [f"{out}: for everybody", f"{secret}: secret, stays here"]
+    lines = [f"{out}: for every member", f"{secret}: secret, stays here"]
     emit({"file": str(out), "secret": str(secret)}, lines, as_json=as_json)
     return 0
 
@@ -109,7 +109,7 @@ def exchange(secret: Path, offers: tuple[Path, ...], out: Path, *, as_json: bool
     lines = [
         *(f"{path}" for path in given),
         f"offers {same}",
-        "read the digest of the offers to one another: everybody must have the same",
+        "compare the digest of the offers with the other members: it must be the same",
     ]
     emit({"files": [str(path) for path in given], "offers": same}, lines, as_json=as_json)
     return 0

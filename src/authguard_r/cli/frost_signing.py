@@ -252,7 +252,7 @@ def inspect(file: Path, *, passphrase_file: Path | None, as_json: bool) -> int:
         lines += [f"secret share of {owner(value)}: it fits", *group_lines(value.group)]
         shown |= {"member": owner(value), "group": plain(value.group)}
     elif isinstance(value, Secret | Nonces):
-        lines.append("secret: not shown, and for nobody else")
+        lines.append("secret: not shown; keep it to yourself")
     else:
         lines += _public_lines(value)
         shown |= {"value": plain(value), "digest": digest(value)}

@@ -193,7 +193,7 @@ def make_command(
     note = []
     if demo:
         write_whole(out, sign_object(config, Tag.GATE, _demo_signer(trust)))
-        note = ["DEMONSTRATION: one user is everybody, so nothing is apart"]
+        note = ["DEMONSTRATION: one user has every role, so roles are not separated"]
     else:
         write_whole(out, written(config, form).encode("utf-8"))
     emit(_payload(config, out), [*note, *card(config, demo=demo), str(out)], as_json=as_json)

@@ -280,7 +280,7 @@ def told_of(beside: GateAddress | None, store: Path, *, tried: bool = False) -> 
     except StoreError as error:
         if beside is None or error.reason is not Reason.STORE_UNAVAILABLE:
             raise
-        away = ": nobody answers there now" if tried else ""
+        away = ": no process answers there now" if tried else ""
         raise StoreError(
             f"the gate is running (process {beside.pid}), use its socket `{beside.socket}`{away}",
             where=str(store),

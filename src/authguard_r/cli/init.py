@@ -90,11 +90,11 @@ def _lines(made: Skeleton, out: Path, *, robot: str, keys: bool) -> list[str]:
     parts = f"--site {site} --binding {binding}"
     return [
         f"{out}: {report.tools} tools, {report.ways} ways, all refused",
-        f"  site.yaml       one place that nobody reviewed; `{robot}`, which can do nothing yet",
+        f"  site.yaml       one unreviewed place; `{robot}`, which can do nothing yet",
         f"  binding.yaml    {report.fields['refused']} fields refused, none mapped",
         "  interface.yaml  the list, for `binding check`",
         *(
-            ["  trust/          demonstration keys: whoever reads them is everybody"]
+            ["  trust/          demonstration keys: anyone who reads them has every role"]
             if keys
             else []
         ),

@@ -116,7 +116,7 @@ def _tell_lists(
     ]
     lines += ["bring them to every machine: authguard advanced revocations install"]
     lines += [
-        f"CANNOT READ {path}: what it gave may still hold; "
+        f"CANNOT READ {path}: what it certified may still be valid; "
         "`--serial` with `--authority` needs no file"
         for path in unread
     ]

@@ -69,7 +69,7 @@ def export_command(
     to verify it. CSV is for reading and cannot be verified. The export verifies nothing.
     """
     if out is None and as_json:
-        raise typer.BadParameter("expected --out beside --json", param_hint="--out")
+        raise typer.BadParameter("expected --out together with --json", param_hint="--out")
     if reader is not None and form is Format.JSONL:
         text = "JSON Lines are written as they are stored, and read with the key: --format csv"
         raise typer.BadParameter(text, param_hint="--reader")

@@ -174,9 +174,9 @@ def _lines(found: Verification, known: KnownLog, log: ReadableLog, *, own: bool)
     if not found.whole:
         yield f"NOT WHOLE at {found.where}: {found.fault}"
         for anchor in _by_size(known):
-            yield f"  held to {_HELD_TO[anchor.by]} of {anchor.size} records"
+            yield f"  compared with {_HELD_TO[anchor.by]} of {anchor.size} records"
         if not known.anchors:
-            yield "  held to nothing outside of it"
+            yield "  compared with nothing outside of it"
         return
     covers = f", {found.anchored_size} of {found.size} records" if found.anchored_size else ""
     yield f"whole: {found.size} records, head {found.head}"
@@ -194,4 +194,4 @@ def _lines(found: Verification, known: KnownLog, log: ReadableLog, *, own: bool)
     if not found.anchored_size:
         yield "  nothing outside says that no record is missing at the end"
     if log.gate is not None:
-        yield f"  told by the gate that runs (process {log.gate.pid}), not read from disk"
+        yield f"  read from the running gate (process {log.gate.pid}), not read from disk"

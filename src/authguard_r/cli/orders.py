@@ -116,7 +116,7 @@ def _handed(token: Path, named: Path | None) -> tuple[bytes, bytes | None]:
     """Return a token and the record of its signing; a missing record is warned of."""
     data, said = read_file(token), _confirmation(token, named)
     if said is None and read_token(data).kind is not Tag.INSTANCE:
-        warn("no confirmation lies beside the token: the log will say that none was given")
+        warn("no confirmation lies next to the token: the log will say that none was given")
     return data, said
 
 

@@ -76,7 +76,7 @@ def recover_command(
             text = f"the store is {status.anchor.state}: there is nothing to accept"
             raise RefusedError(text, reason=Reason.TRANSITION_REFUSED, where="store")
         if not yes:
-            confirm_shown(_lines(status), "Go on with exactly this store?", as_json=as_json)
+            confirm_shown(_lines(status), "Continue with exactly this store?", as_json=as_json)
         accepted = client.accept_store(_signed(status, signer))
     emit({"accepted": accepted}, _told(status, accepted), as_json=as_json)
     return 0
@@ -124,12 +124,12 @@ def _lines(status: _Status) -> list[str]:
         f"  this store: {anchor.store}",
         f"  ends with:  {log.head}",
         f"  {held}: it stays suspended until it is resumed",
-        "  uses, approvals and choices of a part that is lost are not known any more",
+        "  uses, approvals and choices in the lost part are unknown",
     ]
 
 
 def _told(status: _Status, accepted: dict[str, Any]) -> list[str]:
-    lines = [f"{status.robot}: goes on with this store, {accepted.get('size')} records"]
+    lines = [f"{status.robot}: continues with this store, {accepted.get('size')} records"]
     if accepted.get("mission"):
         lines.append(f"{accepted['mission']}: {accepted.get('status')}")
     return lines

@@ -39,7 +39,7 @@ from authguard_r.server.wiring import root_digest
 _BROKEN = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 #: What the safety gate decides by beside its envelope.
 _BEYOND = frozenset({"rules", "checker"})
-_UNVERIFIED = "  tokens were read and held to no signature: name --trust"
+_UNVERIFIED = "  tokens were read and no signature was verified: name --trust"
 
 
 class Difference(Struct, frozen=True, kw_only=True):

@@ -120,7 +120,7 @@ def card(policy: OrganizationPolicy) -> list[str]:
     }
     lines = [
         f"risk policy of {policy.organization}, version {policy.version}, issued {policy.issued}",
-        "  counts beside every mission's own: whichever asks for more people",
+        "  applies together with every mission's own: the one that asks for more people counts",
         f"  from risk {own.tau_1}: 2 people; from {own.tau_2}: {own.t} people; issuer included",
         f"  may answer, where the mission names them too: {', '.join(own.roles)}",
         f"  a request lives {duration(own.valid_ms)} at most",

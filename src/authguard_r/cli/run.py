@@ -146,7 +146,7 @@ def run_command(
         payload = _payload(simulation, runs, path, given_weights(weight or (), where="--weight"))
     finally:
         simulation.gate.close()
-    open_rules = [f"rule `{rule}` does not hold if the mission ends here" for rule in left]
+    open_rules = [f"rule `{rule}` is not satisfied if the mission ends here" for rule in left]
     emit({**payload, "rules_open": left}, [*open_rules, *_lines(runs, path)], as_json=as_json)
     return max(_code(run) for run in runs)
 

@@ -106,7 +106,7 @@ def _after_refusal(simulation: Simulation, report: Report, *, ask: bool) -> str:
     if wanted is OnRefusal.STOP:
         simulation.gate.enforcer.stop(by="gate", is_planner=False)
     if wanted is OnRefusal.ASK and ask:
-        typer.confirm("The step was refused. Hold here?", default=True)
+        typer.confirm("The step was refused. Stay here?", default=True)
     return wanted
 
 

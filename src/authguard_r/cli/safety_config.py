@@ -129,7 +129,7 @@ def _executable_line(rule: Executable) -> str:
 
 
 def _rule_line(rule: Rule) -> str:
-    said = "" if rule.message is None else f", told as {quoted(rule.message)}"
+    said = "" if rule.message is None else f", message {quoted(rule.message)}"
     return f"  rule {rule.id}: {quoted(rule.formula)}{said}"
 
 

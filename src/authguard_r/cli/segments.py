@@ -116,6 +116,6 @@ def _lines(told: list[dict[str, Any]]) -> Iterator[str]:
     if not told:
         yield "no segments: every record is in the store itself"
     for one in told:
-        held = "checkpoint holds" if one["verified"] else "checkpoint not verified: name --key"
+        held = "checkpoint verified" if one["verified"] else "checkpoint not verified: name --key"
         records = f"records {one['first']} to {one['end'] - 1}, {one['bytes']:,} bytes"
         yield f"{one['file']}: {records}, {held}"

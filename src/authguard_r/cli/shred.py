@@ -125,6 +125,6 @@ def _lines(mission: str, classes: tuple[DataClass, ...]) -> list[str]:
     of = "of no mission" if mission == NONE else f"of mission {mission}"
     return [
         f"sealed fields of {', '.join(classes)}, of the records {of}:",
-        "  nobody will read them any more, and decisions that need them are not replayable",
+        "  they become unreadable, and decisions that need them cannot be replayed",
         "  the log stays whole; a record says who ordered this",
     ]

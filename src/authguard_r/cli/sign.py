@@ -49,7 +49,7 @@ from authguard_r.keys.files import PRIVATE, write_whole
 from authguard_r.keys.signer import FileSigner
 from authguard_r.wire.output import emit
 
-_NO_SITE = "name the site with --site: nobody signs what was not shown"
+_NO_SITE = "name the site with --site: the card that you sign is made from it"
 
 ShownSite = Annotated[
     Path | None,

@@ -48,6 +48,8 @@ from authguard_r.wire.output import emit
 
 SiteArgument = Annotated[Path, typer.Argument(help="The site model (YAML, or a signed token).")]
 ForeignArgument = Annotated[Path, typer.Argument(help="The file to import.")]
+#: Most names in one note.
+_NAMED = 8
 OutOption = Annotated[Path, typer.Option("--out", help="Where to write the site (YAML).")]
 IdOption = Annotated[
     str | None, typer.Option("--id", help="The site's id (default: from the file's name).")
@@ -88,17 +90,19 @@ def check_command(site: SiteArgument, as_json: JsonFlag = False) -> int:
 
 def _unlisted_notes(site: Site) -> list[str]:
     """Return what the shipped risk policy does not list, and what a drafted mission then asks."""
-    grantable = [name for name, model in site.vocabulary.items() if not model.state_writing]
+    able = {name for robot in site.robots.values() for name in robot.profile.tools}
+    grantable = [n for n, model in site.vocabulary.items() if n in able and not model.state_writing]
     shipped = convert(read_profile().risk_policy, DraftRisk, where="profile")
     names = unlisted_names(
         shipped, site, types=grantable, objects=site.objects, regions=site.regions
     )
     if not names:
         return []
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
     note = (
-        f"the default risk policy does not list {', '.join(names)}: a drafted mission weighs each "
-        f"{shipped.otherwise}; from {shipped.tau_1} on it asks a second person, from "
-        f"{shipped.tau_2} on {shipped.t} people"
+        f"the default risk policy does not list {', '.join(names[:_NAMED])}{more}: a drafted "
+        f"mission weighs each {shipped.otherwise}; from {shipped.tau_1} on it asks a second "
+        f"person, from {shipped.tau_2} on {shipped.t} people"
     )
     return [note]
 

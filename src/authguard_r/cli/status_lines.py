@@ -14,11 +14,11 @@ _SHORT = 12
 #: Whose silence counts.
 _HEARD = ("planner", "estimator", "controller")
 #: What nothing goes on for, and what to do about each.
-_WAY_OUT = ("STORE PUT BACK", "find out why, then: authguard recover")
+_WAY_OUT = ("STORE ROLLED BACK", "find out why, then: authguard recover")
 _OLDER = "put the newest store in place; if there is none, find out why, then: authguard recover"
 WAYS_OUT: Mapping[str, tuple[str, str]] = {
-    Discrepancy.BEHIND: ("STORE PUT BACK", _OLDER),
-    Discrepancy.FORKED: ("STORE PUT BACK", _OLDER),
+    Discrepancy.BEHIND: ("STORE ROLLED BACK", _OLDER),
+    Discrepancy.FORKED: ("STORE ROLLED BACK", _OLDER),
     Discrepancy.REPLACED: (
         "STORE REPLACED",
         "look at --store; if it is the right one: authguard recover",
@@ -29,10 +29,10 @@ WAYS_OUT: Mapping[str, tuple[str, str]] = {
     ),
     Discrepancy.COUNTER_MISSING: (
         "COUNTER GONE",
-        "look at --counter, put the file back; if it is lost: authguard recover",
+        "look at --counter, restore the file; if it is lost: authguard recover",
     ),
     Discrepancy.COUNTER_BEHIND: (
-        "COUNTER PUT BACK",
+        "COUNTER ROLLED BACK",
         "put the newest one in place; if it is lost: authguard recover",
     ),
     Discrepancy.COUNTER_FOREIGN: (
@@ -178,7 +178,7 @@ def _disk_lines(disk: Any) -> list[str]:
     free, kept = disk.get("free_bytes"), disk.get("reserve_bytes")
     if not isinstance(free, int) or not isinstance(kept, int):
         return [f"disk: {_flat(disk)}"]
-    return [f"disk: {free >> 20} MiB free, {kept >> 20} MiB kept back"]
+    return [f"disk: {free >> 20} MiB free, {kept >> 20} MiB reserved"]
 
 
 def _stop_process_lines(lane: Any) -> list[str]:

@@ -92,7 +92,9 @@ def _stop_lines(said: dict[str, Any]) -> list[str]:
     if said.get("stopped") is True:
         line = f"stopped: the robot stands after {said.get('after_ms')} ms"
     elif said.get("controller") is True:
-        line = "NOT CONFIRMED: the controller was told to stop and did not say that it stands"
+        line = (
+            "NOT CONFIRMED: the controller got the stop and did not confirm that the robot stands"
+        )
     else:
         line = "NOT CONFIRMED: no controller is connected"
     told = [f"{line}; {_follows(str(said.get('role')))}"]
@@ -126,7 +128,7 @@ def _why(one: StopReply) -> str:
     if one.why or one.hangs or one.answer is None:
         return one.why or "it does not answer"
     if one.has_told:
-        return "it told the controller to stop, which does not say that the robot stands"
+        return "it sent the stop to the controller, which did not confirm that the robot stands"
     return "no controller is connected to it"
 
 
@@ -155,7 +157,7 @@ def _stop_store(place: OfflineStore, *, as_json: bool) -> int:
         gate.enforcer.stop(by="operator", is_planner=False, suspends=True)
     line = (
         "no gate answered and no robot was reached: the stop is recorded in the store alone. "
-        "The mission goes on after `authguard mission resume`"
+        "The mission continues after `authguard mission resume`"
     )
     emit({"stopped": False, "recorded": True, "by_gate": False}, [line], as_json=as_json)
     return 5

@@ -76,7 +76,7 @@ def shown(question: Question) -> ShownRequest:
     scope, situation = question.scope_bytes, question.situation_bytes
     if scope is None or situation is None:
         raise RefusedError(
-            "the request cannot be shown any more; wait until it expires",
+            "the request's values were destroyed, so it cannot be shown; wait until it expires",
             reason=Reason.STORE_CORRUPT,
             where=f"request {question.counter}",
         )

@@ -36,7 +36,7 @@ def prove(item: Frame, handshake: Handshake, *, nonce: str, now: Now) -> Proven:
         AuthGuardError: the server refused the hello; its own reason.
     """
     if handshake.verifier is None or handshake.robot is None:
-        raise RuntimeError("a proof was asked for that nobody can check")
+        raise RuntimeError("a proof was asked for without a trust root to check it")
     if item.kind is Kind.ERROR:
         raise from_fault(read_body(item.body, Fault))
     if item.kind is not Kind.WELCOME:

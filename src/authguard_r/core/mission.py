@@ -26,7 +26,7 @@ MAX_ROWS = 256
 #: The language, and the one before it had `sources`, `retention` and `risk_policy.field_weights`.
 SCHEMA, FIRST_SCHEMA = "authguard-r/mission/2", "authguard-r/mission/1"
 _NO_SET = "expected a sorted set without repeats"
-_NO_ENDS = "expected to hold the row's source and destination"
+_NO_ENDS = "expected the row's source and destination among them"
 
 
 class Comparison(StrEnum):

@@ -168,7 +168,7 @@ class InputVerifier:
 
         Raises:
             RefusedError: no mission is active (`NO_ACTIVE_MISSION`; `MISSION_NOT_ACTIVE` when one
-                is issued), or the store was put back (`ROLLED_BACK`).
+                is issued), or the store was rolled back (`ROLLED_BACK`).
             StoreError: its token is gone.
             AuthenticityError: its certificates do not hold any more.
         """
@@ -447,7 +447,7 @@ def _token(act: Transaction, digest: Digest) -> bytes:
     """Return a mission version as it was taken in: a token, or a template's and its instance's."""
     held = act.token(digest)
     if held is None and act.get("token", digest) is not None:
-        text = "the mission is over, and its token is not kept any more"
+        text = "the mission is over, and the store no longer has its token"
         raise RefusedError(text, reason=Reason.TRANSITION_REFUSED, where="mission")
     if held is None:
         raise _corrupt("the mission's token is gone")

@@ -324,7 +324,7 @@ class EStopDispatcher:
     def _keep(self, settled: Settled[StopRequest]) -> None:
         asked = settled.asked
         if asked.peer.role is None:  # pragma: no cover - nobody asks before a hello
-            raise RuntimeError("a stop of nobody was carried out")
+            raise RuntimeError("a stop without a client was carried out")
         self.journal.add(
             StopHeard(
                 epoch=self.journal.epoch,

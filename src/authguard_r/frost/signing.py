@@ -169,7 +169,7 @@ def verify_share(session: SigningSession, item: SignatureShare) -> None:
     weight = mul(session.challenge, lagrange(item.identifier, session.signers))
     owed = times(weight, verification_share(session.group, item.identifier))
     if base(scalar(item.share)) != plus(nonce, owed):
-        raise _cheat(f"the share of `{name}` does not hold", name)
+        raise _cheat(f"the share of `{name}` is not valid", name)
 
 
 def aggregate(session: SigningSession, shares: tuple[SignatureShare, ...]) -> bytes:
@@ -196,7 +196,7 @@ def aggregate(session: SigningSession, shares: tuple[SignatureShare, ...]) -> by
         return signature
     for item in shares:
         verify_share(session, item)
-    raise _cheat("the signature does not hold", session.group.id)  # pragma: no cover - cannot be
+    raise _cheat("the signature is not valid", session.group.id)  # pragma: no cover - cannot be
 
 
 def _require_commitments(group: Group, ordered: tuple[NonceCommitment, ...]) -> None:

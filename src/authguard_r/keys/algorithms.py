@@ -118,7 +118,7 @@ def require_signature(key: PublicKey, signature: bytes, message: bytes, *, where
         key.verify(signature, message)
     except InvalidSignature as error:
         raise AuthenticityError(
-            "the signature does not hold", reason=Reason.SIGNATURE_INVALID, where=where
+            "the signature is not valid", reason=Reason.SIGNATURE_INVALID, where=where
         ) from error
 
 

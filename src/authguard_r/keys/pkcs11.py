@@ -164,7 +164,7 @@ def open_key(uri: str, pin: Passphrase | None) -> TokenKey:
     except ImportError as error:
         raise _fault("keys in hardware need `pip install 'authguard-r[pkcs11]'`", uri) from error
     if pin is None:
-        raise _unfit("the token has a PIN, and nobody gave it: --passphrase-file", uri)
+        raise _unfit("the token needs a PIN: name a file with --passphrase-file", uri)
     try:
         return _open(named, pin, where=uri)
     except PKCS11Error as error:

@@ -84,7 +84,7 @@ def read_list(data: bytes, *, authority: str, key: PublicKey) -> RevocationList:
 
     Raises:
         MalformedError: no canonical list, or one of another authority.
-        AuthenticityError: the signature does not hold.
+        AuthenticityError: the signature is not valid.
     """
     where = f"revocations/{authority}"
     signed = decode(data.removesuffix(b"\n"), SignedRevocation, where=where)

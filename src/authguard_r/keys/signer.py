@@ -32,8 +32,8 @@ _BLOCK = re.compile(rb"-----BEGIN [A-Z ]+-----.*?-----END [A-Z ]+-----", re.DOTA
 _FOREIGN = (b"BEGIN ENCRYPTED PRIVATE KEY", b"Proc-Type: 4,ENCRYPTED")
 _PLAIN = "expected an unencrypted PKCS8 PEM key"
 _SEALED = (
-    "the key is sealed, and nobody is there to say its passphrase: --passphrase-file; a gate's own "
-    "key is plain: `authguard keys unprotect`"
+    "the key is sealed, and there is no terminal to ask for its passphrase: name a file with "
+    "--passphrase-file; a gate's own key is plain: `authguard keys unprotect`"
 )
 
 #: Asks for the passphrase of a file, or the PIN of a token, that the text names.

@@ -6,7 +6,6 @@ Spec page: docs/reference/cli.md
 
 from __future__ import annotations
 
-import os
 import re
 import sys
 from collections.abc import Iterator, Mapping
@@ -16,6 +15,8 @@ from typing import Annotated, Any, NamedTuple
 
 import typer
 from typer.core import TyperCommand, TyperGroup
+
+from authguard_r.wire.output import shows_color
 
 #: How the variables of defaults begin.
 PREFIX = "AUTHGUARD_"
@@ -216,8 +217,7 @@ def _default_name(option: Any) -> str:
 
 def colored(text: str) -> str:
     """Return a help text with headings and names in color, where standard output shows colors."""
-    plain = "NO_COLOR" in os.environ or os.environ.get("TERM") == "dumb"
-    if plain or not sys.stdout.isatty():
+    if not shows_color(sys.stdout):
         return text
     text = re.sub(r"(?m)^(\S[^\n]*:|Usage:)", lambda m: typer.style(m[0], bold=True), text)
     return re.sub(r"(?m)^  \S(?:[^\n]*?\S)?(?=  )", lambda m: typer.style(m[0], fg="cyan"), text)

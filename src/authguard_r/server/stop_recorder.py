@@ -236,4 +236,4 @@ class StopRecorder:
 
     def _unconfirmed(self, *, is_so: bool, by: Identifier) -> None:
         """Raise the alert at the first unconfirmed stop, until a stop is confirmed."""
-        self._liveness.holds("nobody confirmed a stop", is_so=is_so, details={"by": by})
+        self._liveness.holds("a stop was not confirmed", is_so=is_so, details={"by": by})

@@ -14,6 +14,8 @@ from msgspec import inspect
 
 #: One step of a place: `.field`, `[3]` of a list, or `[...]` of a mapping.
 _STEP = re.compile(r"\.[^.\[]+|\[[^\]]*\]")
+#: What a file says that it is.
+_SCHEMA = re.compile(r"authguard-r/([a-z]+(?:-[a-z]+)*)/[0-9]+")
 _PLAIN_TYPES: dict[Any, Any] = {
     inspect.IntType: int,
     inspect.StrType: str,
@@ -44,7 +46,17 @@ def fault_of(data: object, kind: Any, error: msgspec.ValidationError) -> tuple[s
     if text.startswith(_ENUM) and isinstance(node, inspect.EnumType | inspect.LiteralType):
         allowed = node.values if isinstance(node, inspect.LiteralType) else [*node.cls]
         text = f"got {text.removeprefix(_ENUM)}, expected {listed(map(str, allowed))}"
-    return text[:1].lower() + text[1:], found
+    text = text[:1].lower() + text[1:]
+    if found == "schema" or (not found and "unknown field `schema`" in text):
+        text = _named_kind(data) + text
+    return text, found
+
+
+def _named_kind(data: object) -> str:
+    """Return which kind of file the data says that it is; empty where it does not say."""
+    said = data.get("schema") if isinstance(data, dict) else None
+    kind = _SCHEMA.fullmatch(said) if isinstance(said, str) else None
+    return f"this file is a {kind[1].replace('-', ' ')}: " if kind else ""
 
 
 def listed(values: Any) -> str:

@@ -29,12 +29,12 @@ _REASONS: tuple[tuple[type[Exception], Reason, str], ...] = (
     (
         apsw.BusyError,
         Reason.STORE_UNAVAILABLE,
-        "another process holds the store (is a gate running?)",
+        "another process has the store open (is a gate running?)",
     ),
     (
         apsw.LockedError,
         Reason.STORE_UNAVAILABLE,
-        "another process holds the store (is a gate running?)",
+        "another process has the store open (is a gate running?)",
     ),
 )
 

@@ -86,7 +86,7 @@ class Mover:
         """
         writer = self._begun()
         if not self._store.restore():
-            text = "the disk has no room for a segment beside the reserve"
+            text = "the disk has no room for a segment above the reserve"
             raise StoreError(text, where="store", reason=Reason.STORE_FULL)
 
         def job(turn: Turn) -> None:

@@ -8,9 +8,10 @@ needed; 4 unparsable or not authentic; 5 the environment is at fault.
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Any, TextIO
 
 from authguard_r.core.errors import (
     AuthenticityError,
@@ -38,6 +39,11 @@ def printed(lines: str) -> str:
     return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in lines)
 
 
+def shows_color(stream: TextIO) -> bool:
+    """True for a terminal whose user did not refuse colors."""
+    return stream.isatty() and "NO_COLOR" not in os.environ and os.environ.get("TERM") != "dumb"
+
+
 def emit_error(reason: str, message: str, where: str, *, as_json: bool, code: int) -> int:
     """Print an error where it belongs and return the exit code."""
     if as_json:
@@ -45,7 +51,8 @@ def emit_error(reason: str, message: str, where: str, *, as_json: bool, code: in
         sys.stdout.write(json.dumps({"error": error}) + "\n")
     else:
         place = f" (at {where})" if where else ""
-        sys.stderr.write(f"{shown(reason)}: {shown(message)}{shown(place)}\n")
+        named = f"\x1b[1;31m{shown(reason)}\x1b[0m" if shows_color(sys.stderr) else shown(reason)
+        sys.stderr.write(f"{named}: {shown(message)}{shown(place)}\n")
     return code
 
 

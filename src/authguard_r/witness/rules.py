@@ -170,7 +170,7 @@ def judge(asked: WitnessRequest, log: WitnessedLog | None) -> WitnessVerdict:
     # (6) the proof
     if not verify_consistency(asked.old, found.size, log.root, found.root, asked.proof):
         return WitnessVerdict(
-            finding=RequestFinding.UNPROVEN, message="the consistency proof does not hold"
+            finding=RequestFinding.UNPROVEN, message="the consistency proof is not valid"
         )
     return WitnessVerdict(finding=RequestFinding.COSIGNED, message="")
 

@@ -200,7 +200,7 @@ def test_a_record_of_another_log_does_not_follow() -> None:
     broken([*ROWS[:4], *other[4:]], "record 4", "does not follow the record before it")
 
 
-# truncated, chained anew, forked
+# truncated, chained again, forked
 
 
 def test_a_log_that_was_cut_off_is_named_at_the_first_record_that_is_gone() -> None:
@@ -213,11 +213,11 @@ def test_a_log_that_was_cut_off_is_named_at_the_first_record_that_is_gone() -> N
 def test_a_log_that_was_chained_anew_is_named_from_the_last_record_that_is_vouched_for() -> None:
     changed = rechained([edited(row, decision="accept") if row.seq == 5 else row for row in ROWS])
     assert verify_rows(changed).whole  # nothing outside, nothing seen
-    broken(changed, "records 0 to 8", "chained anew", checkpoint(9))
-    broken(changed, "records 3 to 8", "chained anew", checkpoint(9), checkpoint(3))
-    broken(changed, "records 5 to 6", "chained anew", *map(checkpoint, (1, 5, 7, 9)))
+    broken(changed, "records 0 to 8", "chained again", checkpoint(9))
+    broken(changed, "records 3 to 8", "chained again", checkpoint(9), checkpoint(3))
+    broken(changed, "records 5 to 6", "chained again", *map(checkpoint, (1, 5, 7, 9)))
     # a checkpoint after every record names the one
-    broken(changed, "record 5", "chained anew", *map(checkpoint, range(SIZE + 1)))
+    broken(changed, "record 5", "chained again", *map(checkpoint, range(SIZE + 1)))
 
 
 def test_a_log_that_went_on_elsewhere_is_named() -> None:

@@ -246,7 +246,7 @@ def test_the_card_asks_as_many_as_the_gate_asks_of_the_riskiest_action(
     need = judged.decision.need
     assert need is not None
     if need.required == 1:
-        assert said == f"asks nobody: its risk is at most {need.risk} by either policy"
+        assert said == f"asks no second person: its risk is at most {need.risk} by either policy"
     else:
         assert said.startswith(f"asks {need.required - 1} further person(s) at its riskiest ")
         assert f"({need.risk}, by the " in said
@@ -257,7 +257,7 @@ def test_roles_that_no_two_policies_share_are_said_to_be_nobody() -> None:
     policy = SET(own, roles=("site_authority",), valid_ms=own.valid_ms * 2)
     demand = OrganizationDemand(organization="hospital", version=3, policy=policy)
     card = review(scenarios.mission(), scenarios.site(), demand=demand)
-    line = "  of the roles that both name: none, so nobody can answer; a request lives 2 min"
+    line = "  of the roles that both name: none, so no one can answer; a request lives 2 min"
     assert line in card
     alone = review(scenarios.mission(), scenarios.site())
     assert sum("--risk-policy" in line for line in alone) == 1
@@ -283,7 +283,7 @@ def test_a_card_for_a_site_that_knows_nothing_of_it_still_says_what_is_signed() 
     mission = rich()
     foreign = SET(mission, rid="stranger", regions=("moon",), objects=())
     card = "\n".join(review(foreign, scenarios.site()))
-    assert "nobody can say whom it asks" in card
+    assert "unknown: this site has no such robot" in card
     assert "Robot stranger is not in this site" in card
     assert "only with objects: none" in card
     assert "only in regions: moon" in card

@@ -62,7 +62,7 @@ def test_a_cheating_share_is_caught_and_its_giver_named() -> None:
     session, ready = prepared(made.shares[1:4], MESSAGE)
     parts = [signing.sign(session, share, nonces) for share, nonces in ready]
     parts[1] = msgspec.structs.replace(parts[1], share=one_more(parts[1].share))
-    with pytest.raises(AuthenticityError, match="`member-3` does not hold") as caught:
+    with pytest.raises(AuthenticityError, match="`member-3` is not valid") as caught:
         signing.aggregate(session, tuple(parts))
     assert (caught.value.reason, caught.value.where) == (Reason.SIGNATURE_INVALID, "member-3")
     for part in (parts[0], parts[2]):
@@ -77,7 +77,7 @@ def test_two_cheats_that_cancel_out_give_a_signature_that_holds() -> None:
     up = msgspec.structs.replace(first, share=one_more(first.share))
     down = msgspec.structs.replace(second, share=curve.spelled(_less(second)))
     assert holds(made.group, signing.aggregate(session, (up, down)), MESSAGE)
-    with pytest.raises(AuthenticityError, match="`member-1` does not hold"):
+    with pytest.raises(AuthenticityError, match="`member-1` is not valid"):
         signing.verify_share(session, up)
 
 
@@ -107,7 +107,7 @@ def test_a_share_is_not_another_members_share() -> None:
     session, ready = prepared(made.shares[:2], MESSAGE)
     first, second = (signing.sign(session, share, nonces) for share, nonces in ready)
     taken = msgspec.structs.replace(first, identifier=2)
-    with pytest.raises(AuthenticityError, match="`member-2` does not hold"):
+    with pytest.raises(AuthenticityError, match="`member-2` is not valid"):
         signing.verify_share(session, taken)
     with pytest.raises(AuthenticityError, match="`member-3` gave a share without a commitment"):
         signing.verify_share(session, msgspec.structs.replace(second, identifier=3))

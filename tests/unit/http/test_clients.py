@@ -74,5 +74,5 @@ def test_without_a_trust_root_nobody_can_say(tmp_path: Path) -> None:
 
 
 def test_somebody_is_asked_for_something() -> None:
-    with pytest.raises(ValueError, match="something"):
+    with pytest.raises(ValueError, match="expected a token"):
         Authenticator(None, None)

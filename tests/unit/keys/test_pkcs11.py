@@ -195,7 +195,7 @@ def test_a_wrong_pin_is_refused_and_asked_once(token: Token) -> None:
         assert asked == [token.uri("operator-1")]
     with pytest.raises(AuthenticityError) as caught:
         open_key(token.uri("operator-1"), None)
-    assert "nobody gave it" in caught.value.message
+    assert "needs a PIN" in caught.value.message
     assert opened(token).sign(b"x")
 
 

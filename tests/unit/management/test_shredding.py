@@ -357,7 +357,7 @@ def test_a_mission_that_has_the_robots_name_is_not_taken_for_the_records_of_none
         ended(sim, mission=str(scenarios.RID))
         for of in ("-", str(scenarios.RID)):
             told = refused(sim, sealed_logs.shred_order(sim, of, REGION))
-            assert (told.reason, "which is meant" in told.message) == ("TRANSITION_REFUSED", True)
+            assert (told.reason, "is ambiguous" in told.message) == ("TRANSITION_REFUSED", True)
 
 
 def test_what_waited_to_be_recorded_is_destroyed_with_the_rest(path: Path) -> None:

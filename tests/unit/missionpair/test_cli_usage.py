@@ -13,7 +13,7 @@ import typer
 
 from fixtures import campaign_records
 from fixtures.missionpair_program import told
-from missionpair import cli, cli_validate, suites
+from missionpair import cli, suites, validation
 from missionpair.campaign.log import read_log
 from missionpair.campaign.plan import MOST_TURNS, CampaignPlan, PlanError
 from missionpair.campaign.run import run
@@ -117,9 +117,9 @@ def test_checks_and_trials_are_counted_on_a_terminal_alone(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Two self-checks and one attack under three systems: five steps."""
-    monkeypatch.setattr(cli_validate, "SELF_CHECKS", cli_validate.SELF_CHECKS[:2])
-    monkeypatch.setattr(cli_validate, "ATTACKS", cli_validate.ATTACKS[:1])
-    monkeypatch.setattr(cli_validate, "BENIGN", ())
+    monkeypatch.setattr(validation, "SELF_CHECKS", validation.SELF_CHECKS[:2])
+    monkeypatch.setattr(validation, "ATTACKS", validation.ATTACKS[:1])
+    monkeypatch.setattr(validation, "BENIGN", ())
     code, out, err = ended(capsys, monkeypatch, "validate")
     assert (code, out.splitlines()[0], err) == (1, "self-checks: 2/2", "")  # not the paper's tables
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)

@@ -38,7 +38,7 @@ UNAUTHORIZED = "attacks with an unauthorized action"
 COMPLETED, REFUSED = "benign runs completed (BTCR)", "benign runs refused (FRR)"
 UPDATED = "updates completed"
 ASIDE = "other trials with an unauthorized action"
-ANSWERED, FAULTS = "trials that nobody answered", "faults of the gate itself"
+ANSWERED, FAULTS = "trials without an answer", "faults of the gate itself"
 
 
 def update(**changes: Any) -> Trial:

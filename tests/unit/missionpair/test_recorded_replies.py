@@ -249,7 +249,7 @@ def test_a_line_that_is_no_reply_is_refused_by_place(
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "holds no reply"),
+        ("", "has no reply"),
         ("\n", "is empty: write one JSON object a line"),
         ('{"pair": "p",\n"steps": []}\n', "one whole JSON object a line"),
         ('{"pair": "p", "pair": "q", "steps": []}', "has the field `pair` twice"),

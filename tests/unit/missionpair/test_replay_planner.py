@@ -133,7 +133,7 @@ def test_a_stand_ins_log_stays_a_stand_ins(tmp_path: Path) -> None:
             {"seed": 40, "text": "Go to Station 102."},
             "with these inputs; was asked it with other inputs",
         ),
-        ({"seed": 41}, "does not hold all of its bytes"),
+        ({"seed": 41}, "does not have all of its bytes"),
         ({"seed": 40, "turns": (EarlierTurn("{}", "rejected"),)}, "replay with one turn"),
     ],
 )

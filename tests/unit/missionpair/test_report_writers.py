@@ -375,7 +375,7 @@ def test_a_check_that_can_be_taken_out_unnoticed_is_named(tmp_path: Path) -> Non
                     MUTATION, mutants=(MutantReport(gate="g", check="c", trials=1, let_through=2),)
                 )
             ),
-            "no more let through",
+            "at most as many that passed",
         ),
     ],
 )

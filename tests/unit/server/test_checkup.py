@@ -337,7 +337,7 @@ def test_a_store_that_a_gate_holds_is_left_to_it(tmp_path: Path) -> None:
     finally:
         held.close()
     assert found.level is Level.WARNING
-    assert "a gate holds it" in found.message
+    assert "a running gate has it open" in found.message
 
 
 def test_a_log_that_was_changed_is_found_by_a_deep_look_alone(tmp_path: Path) -> None:

@@ -142,14 +142,14 @@ def test_a_store_that_was_put_back_is_told_of_at_the_start_or_as_soon_as_it_is_k
     until(passed, "the alert")
     early = Watched(begin(kept, policy(witness)), tmp_path / "early")
     for here in (late, early):
-        assert here.alerts() == [("the store was put back", False)]
-        assert here.told() == here.recorded() == ["the store was put back"]
+        assert here.alerts() == [("the store was rolled back", False)]
+        assert here.told() == here.recorded() == ["the store was rolled back"]
         here.vigil.look()
-        assert here.alerts() == [("the store was put back", False)]
+        assert here.alerts() == [("the store was rolled back", False)]
         here.sim.gate.management.accept_store(order(here.sim))
         here.vigil.look()
-        assert here.alerts() == [("the store was put back", True)]
-        assert here.recorded() == ["the store was put back"]
+        assert here.alerts() == [("the store was rolled back", True)]
+        assert here.recorded() == ["the store was rolled back"]
         here.close()
 
 

@@ -272,7 +272,7 @@ def test_a_stop_that_nobody_confirmed_is_an_alert() -> None:
     with DemoGate(mode=Mode.SHADOW) as house:
         house.stop(ClientRole.PLANNER, 1, stood_ms=None)
         (record,) = house.log("alert")
-        assert record.open["what"] == "nobody confirmed a stop"
+        assert record.open["what"] == "a stop was not confirmed"
         assert house.log("stop")[0].open["stood_ms"] == -1
 
 

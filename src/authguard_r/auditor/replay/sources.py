@@ -309,7 +309,7 @@ class Sources:
             why = closed_of(record, values).why("token") or GONE
             self._note_gone(digest, f"{why}: the mission's token")
             return
-        self._note_gone(digest, "its mission does not hold")
+        self._note_gone(digest, "its mission is not valid")
         verified = self._verified(values, _at(record))
         mission = claimed_mission(values) if verified is None else verified.mission
         if digest_of(Tag.MISSION, mission) != digest:

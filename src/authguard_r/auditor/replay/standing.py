@@ -141,7 +141,7 @@ def _undenied(counted: _Counted, standing: Standing) -> Iterator[str]:
     for request in standing.requests.values():
         was_denied = str(request.counter) in counted.denied
         if request.denied != was_denied:
-            told = "it was denied" if was_denied else "nobody denied it"
+            told = "it was denied" if was_denied else "no one denied it"
             yield f"request {request.counter}: by the records before it {told}"
 
 

@@ -140,7 +140,7 @@ def _asked(
 ) -> str:
     """Say in words whom the riskiest action of the grant asks, by the stricter policy."""
     if facts is None:
-        return "nobody can say whom it asks: this site has no such robot"
+        return "unknown: this site has no such robot"
     own = mission.risk_policy
     needs = [(*_need(mission, grant, facts, own), "the mission's own policy")]
     if demand is not None:
@@ -148,7 +148,8 @@ def _asked(
         needs.append((*_need(mission, grant, facts, demand.policy), theirs))
     count, _, risk, whose = max(needs)
     if count == 1:
-        return f"asks nobody: its risk is at most {risk}{' by either policy' * (len(needs) > 1)}"
+        either = " by either policy" * (len(needs) > 1)
+        return f"asks no second person: its risk is at most {risk}{either}"
     by = f", by {whose}" * (len(needs) > 1)
     return f"asks {count - 1} further person(s) at its riskiest ({risk}{by})"
 
@@ -183,7 +184,7 @@ def _totals(mission: Mission) -> Iterator[str]:
 def _approvals(mission: Mission, site: Site) -> Iterator[str]:
     policy = mission.risk_policy
     yield (
-        f"Below risk {policy.tau_1} it asks nobody; from {policy.tau_1} a second person, from "
+        f"Below risk {policy.tau_1} it asks no one; from {policy.tau_1} a second person, from "
         f"{policy.tau_2} {policy.t} people in all, the signer included"
     )
     yield (
@@ -201,15 +202,15 @@ def _demanded(mission: Mission, demand: OrganizationDemand | None) -> Iterator[s
     own, policy = mission.risk_policy, demand.policy
     roles = ", ".join(role for role in own.roles if role in policy.roles)
     yield (
-        f"Beside it counts the risk policy of {demand.organization}, version {demand.version}: "
+        f"The risk policy of {demand.organization}, version {demand.version}: "
         "each grant asks whom the stricter of both asks"
     )
     yield (
-        f"  below its risk {policy.tau_1} it asks nobody; from {policy.tau_1} a second person, "
+        f"  below its risk {policy.tau_1} it asks no one; from {policy.tau_1} a second person, "
         f"from {policy.tau_2} on {policy.t} people in all, the signer included"
     )
     yield (
-        f"  of the roles that both name: {roles or 'none, so nobody can answer'}; a request lives "
+        f"  of the roles that both name: {roles or 'none, so no one can answer'}; a request lives "
         f"{duration(min(own.valid_ms, policy.valid_ms))}"
     )
 

@@ -37,7 +37,7 @@ def planner_chooses_risk(scene: LintScene) -> Iterator[LintFinding]:
             yield warning(
                 LintCode.PLANNER_CHOOSES_RISK,
                 f"actions[{number}].chooser",
-                f"whoever steers the planner picks among rows of `{grant.id}` of different risk",
+                f"an attacker of the planner picks among rows of `{grant.id}` of different risk",
                 _MEND,
             )
 
@@ -71,7 +71,7 @@ def planner_chooses_grant(scene: LintScene) -> Iterator[LintFinding]:
                 yield warning(
                     LintCode.PLANNER_CHOOSES_RISK,
                     f"actions[{number}]",
-                    f"whoever steers the planner picks between `{other.id}` and `{grant.id}`, "
+                    f"an attacker of the planner picks between `{other.id}` and `{grant.id}`, "
                     "which differ in risk",
                     _MEND,
                 )

@@ -197,7 +197,7 @@ def never_asks(scene: LintScene) -> Iterator[LintFinding]:
         yield error(
             LintCode.NEVER_ASKS,
             "risk_policy.tau_1",
-            f"no risk reaches {mission.risk_policy.tau_1} (the highest is {highest}), so nobody is "
+            f"no risk reaches {mission.risk_policy.tau_1} (the highest is {highest}), so no one is "
             f"asked about {', '.join(risky)}",
             f"lower `tau_1` to {highest} or below, or raise the weights",
         )

@@ -92,7 +92,7 @@ def _card(question: Question, opened: ShownRequest, site: Site | None) -> Iterat
     yield from _may_answer(question)
     yield "  conditions, as they were when it was asked:"
     for truth in question.guards:
-        held = "holds" if truth.held else "DOES NOT HOLD"
+        held = "met" if truth.held else "NOT MET"
         yield f"    {held}: {formatting.condition(truth.guard)}"
     for item in question.influenced_by:
         told = f"{item.get('channel')} ({item.get('label')})"
@@ -105,7 +105,7 @@ def _card(question: Question, opened: ShownRequest, site: Site | None) -> Iterat
 def _may_answer(question: Question) -> Iterator[str]:
     """Say who may still answer; without names the gate waits for no person."""
     if not question.roles:
-        yield "  may answer: NOBODY: mission and organization name no role in common"
+        yield "  may answer: NO ONE: mission and organization name no role in common"
         return
     places = f" and {', '.join(question.places)}" if question.places else ""
     yield f"  may answer: {', '.join(question.roles)}; not {question.issuer}, who signed it"
@@ -142,7 +142,7 @@ def _left(question: Question) -> str:
 def _head(question: Question) -> str:
     """Return how far a request is; a denial outweighs however many are behind it."""
     if question.denied:
-        return "DENIED: closed; the next proposal is told so"
+        return "DENIED: closed; the next proposal gets this answer"
     return f"{_people(question)} people, {_left(question)}{_worth(question)}"
 
 

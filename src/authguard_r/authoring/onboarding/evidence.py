@@ -173,7 +173,7 @@ class _Gathered:
             self.unused.append(Unused(seq, "not marked `shadow`"))
             return
         if "repeats" in record.open:
-            self.unused.append(Unused(seq, "refusals that were counted and not kept"))
+            self.unused.append(Unused(seq, "refusals that were counted without a record"))
             return
         acts = record.kind == "decision" or not {"action", ACT}.isdisjoint(record.committed)
         name = "action" if acts else "plan"

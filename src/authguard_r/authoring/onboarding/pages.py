@@ -126,7 +126,7 @@ def row_line(row: SeenRow) -> str:
             for i in row.influences[:4]
         )
         return f"{what}; {times}; INFLUENCED by {told}"
-    return f"{what}; {times}{'' if row.looked else '; nobody looked what had mentioned it'}"
+    return f"{what}; {times}{'' if row.looked else '; what had mentioned it is unknown'}"
 
 
 def mission_page(
@@ -190,7 +190,7 @@ def _grant_lines(
     yield f"  - id: {quoted(grant['id'])}"
     yield from (f"    {name}: {_flow(grant[name])}" for name in ("type", "tool"))
     if seen.leaves:
-        yield "    # whoever is granted the way home may end the work: say `after: [GRANT]`, or"
+        yield "    # a planner with this grant can end the work: say `after: [GRANT]`, or"
         yield "    # guard it: `guards: [{variable: holding, eq: nothing, max_age: 1 s}]`"
     if site.vocabulary[seen.type].moves and any(row.source for row in seen.rows):
         yield "    # the log says where it began and where it was to end, not the way:"
@@ -307,7 +307,7 @@ def _unknown_lines(meanings: tuple[Meaning, ...]) -> Iterator[str]:
         return
     yield _HEAD.rstrip("\n")
     yield "# Words in calls that no place and no thing of the site is called. Add what is real to"
-    yield "# the site, with where it is and who may go there: nobody here knows that."
+    yield "# the site, with where it is and who may go there."
     left = _MOST_NAMES
     for key, path, words in told:
         yield f"# {shown(_named(key))}, `{path}`:"

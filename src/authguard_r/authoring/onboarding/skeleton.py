@@ -156,7 +156,7 @@ def _binding_text(ways: tuple[_RefusedWay, ...]) -> str:
         grouped.setdefault(way.tool, []).append(way)
     lines = [
         "# Every call of every tool is refused. To allow one, give it the type that it means and",
-        "# say of each field what becomes of it: docs/howto/bindings.md.",
+        "# say what each field means: docs/howto/bindings.md.",
         "schema: authguard-r/binding/1",
         "id: tools",
         "tools:",
@@ -199,7 +199,7 @@ version: 1
 # One canonical type for each effect; list those that the robot has, or add your own.
 words: standard
 
-# In millimeters. `{UNREVIEWED}` is what nobody has looked at: the site cannot be signed so.
+# In millimeters. `{UNREVIEWED}` marks what you have to review before you can sign the site.
 regions:
   home:
     map: map
@@ -214,7 +214,7 @@ doors: []
 
 objects: {{}}
 
-# What the robot can do at all. Nothing, until somebody says what: types with their tools, and
+# What the robot can do at all. Nothing yet: list action types with their tools, and
 # the numbers of its data sheet. The gate's certificate binds this profile: after a change of it,
 # make the keys again.
 robots:

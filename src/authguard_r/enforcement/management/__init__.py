@@ -328,7 +328,7 @@ class Management:
         return done
 
     def _do(self, job: Callable[[Transaction], T]) -> T:
-        """Carry an order out, unless the store was put back and not accepted yet."""
+        """Carry an order out, unless the store was rolled back and not accepted yet."""
 
         def held(act: Transaction) -> T:
             self._inputs.anchor.require()

@@ -179,7 +179,7 @@ def _offered(
         verified = parts.inputs.verify_mission(token, act)
         return _Offered(verified=verified, held=token, token=token, confirmation=confirmation)
     if confirmation is not None:
-        text = "nobody confirms an instance: its template was confirmed"
+        text = "an instance needs no confirmation: its template was confirmed"
         raise refuse(Reason.META_MISMATCH, text, "confirmation")
     used = use_instance(act, token, parts)
     made = used.made.mission

@@ -97,7 +97,7 @@ def _require_current(
         raise refuse(Reason.MISSION_UNKNOWN, "no such mission version is here")
     if command.version != standing.version:
         text = f"expected {standing.version}, the version of `{command.mission}`, got "
-        text += f"{command.version}: sign the order anew"
+        text += f"{command.version}: sign the order again"
         raise refuse(Reason.MISSION_UNKNOWN, text, "command.version")
     if not signer.scope.covers(standing.rid):
         raise refuse(Reason.SIGNER_OUT_OF_SCOPE, f"`{signer.id}` has no say about this robot")
@@ -146,7 +146,7 @@ def _refusal(verb: Verb, standing: Standing) -> str:
     tickets = ", ".join(f"`{release.ticket}`" for release in standing.open[:_NAMED])
     more = f" and {len(standing.open) - _NAMED} more" if len(standing.open) > _NAMED else ""
     return (
-        f"{told} while nobody has said how {tickets}{more} ended: "
+        f"{told} while the end of {tickets}{more} is unknown: "
         "`authguard mission resolve TOKEN --ticket T --outcome ...` for each"
     )
 

@@ -110,7 +110,7 @@ def require_signed_since(
     """
     since_ms = accepted_ms(act)
     if 0 < since_ms >= issued_ms:
-        text = f"signed before this store was accepted, {to_timestamp(since_ms)}: sign it anew"
+        text = f"signed before this store was accepted, {to_timestamp(since_ms)}: sign it again"
         raise refuse(Reason.ROLLED_BACK, text, where)
 
 

@@ -201,7 +201,7 @@ def _meant(act: Transaction, mid: MissionId, parts: ManagementParts) -> str:
     known = act.standing(mid) is not None
     if str(mid) == parts.facts.robot.rid:
         if known:
-            text = "a mission has the robot's name: nobody can say which is meant"
+            text = "a mission has the robot's name, so the order is ambiguous"
             raise refuse(Reason.TRANSITION_REFUSED, text, "command.mid")
         return NONE
     if not known:
@@ -225,7 +225,7 @@ def _required(
         text = f"the mission is {standing.status}: end it first"
         raise refuse(Reason.TRANSITION_REFUSED, text, "command.mid")
     if standing is not None and standing.open:
-        text = "nobody has said how an action of it ended: `authguard mission resolve` first"
+        text = "the end of one of its actions is unknown: `authguard mission resolve` first"
         raise refuse(Reason.TRANSITION_REFUSED, text, "command.mid")
     keys = _keys(act, mid, classes)
     if not keys:

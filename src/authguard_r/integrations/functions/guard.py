@@ -349,7 +349,7 @@ class GateGuard:
             if outcome == "succeeded" or kept.text:
                 return _handed(kept, report)
         if outcome == "succeeded" and asked.repeated:
-            raise Repeated("succeeded before; its answer is not told twice", report)
+            raise Repeated("succeeded before; its answer is not repeated", report)
         raise Failed(f"{outcome}: " + ", ".join(asked.step["execution"]["reasons"]), report)
 
     def _guarded(

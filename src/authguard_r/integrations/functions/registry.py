@@ -104,7 +104,9 @@ class Registry:
             raise _unknown(f"expected a registered function for `{name}`")
         decided = sorted(self.decided(name) & beside.keys())
         if decided:
-            raise TypeError(f"`{decided[0]}` is decided by the gate and cannot be given beside it")
+            raise TypeError(
+                f"`{decided[0]}` is decided by the gate and cannot be given as an argument"
+            )
         return tool
 
     def decided(self, name: str) -> frozenset[str]:

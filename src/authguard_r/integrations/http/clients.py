@@ -99,7 +99,7 @@ class Authenticator:
 
     def __init__(self, token: bytes | None, certificates: Certificates | None) -> None:
         if token is None and certificates is None:
-            raise ValueError("somebody has to be asked for something")
+            raise ValueError("expected a token or client certificates")
         self._token, self._certificates = token, certificates
 
     def admit(self, scope: Any) -> str:

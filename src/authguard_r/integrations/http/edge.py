@@ -78,7 +78,7 @@ class Edge:
             raise RequestError(431, str(Reason.INPUT_TOO_LARGE), text, where="head")
         hosts = _values(scope, b"host")
         if self._hosts is not None and (len(hosts) != 1 or hosts[0].lower() not in self._hosts):
-            text = "this server has another name: a page of somebody else's may have sent this"
+            text = "this server has another name: a page of another site may have sent this"
             raise RequestError(421, "HOST_UNKNOWN", text, where="host")
         if _values(scope, b"origin"):
             text = "pages in a browser are not served"

@@ -23,8 +23,8 @@ _SUFFIX = "Message"
 _STRUCT = re.compile(rf"\b[A-Z]\w*{_SUFFIX}(?=\")")
 _STATUSES = {
     400: "The request is not what it has to be; `where` says at which place.",
-    401: "Nobody who may ask: no token or certificate, or one that does not hold.",
-    403: "Somebody who may not ask here.",
+    401: "Unauthorized: no token or certificate, or one that is not valid.",
+    403: "Forbidden: this client may not ask here.",
     404: "There is no such thing.",
     408: "The body did not come in time.",
     413: "The body is too long.",
@@ -63,7 +63,7 @@ def document(operations: tuple[Operation, ...], *, version: str) -> bytes:
             "title": "AuthGuard-R decision point",
             "version": version,
             "description": "OpenID AuthZEN Authorization API 1.0 before a robot's gate. A permit "
-            "is advice: it consumes nothing and holds for no time.",
+            "is advice: it consumes nothing and expires immediately.",
             "license": {"name": "Apache-2.0", "identifier": "Apache-2.0"},
         },
         "security": [{"token": []}, {"certificate": []}],

@@ -63,7 +63,7 @@ def fate(name: str, binding: Binding, site: Site) -> str:
     ways = [site.vocabulary[way.tool.type] for way in ways_of(binding, name)]
     refused = sum(kind.state_writing for kind in ways)
     if refused == len(ways):
-        return "hidden: it changes what the robot believes, or cannot be held"
+        return "hidden: it writes the robot's state, or no gate can check it"
     return f"shown: {len(ways) - refused} of {len(ways)} ways can be granted"
 
 
@@ -219,7 +219,7 @@ def answered(asked: CallOutcome) -> types.CallToolResult:
             changed["structured_content"] = own
         return answer.model_copy(update=changed)
     if outcome == "succeeded":
-        text = "succeeded" + (" before; its answer is not told twice" if asked.repeated else "")
+        text = "succeeded" + (" before; its answer is not repeated" if asked.repeated else "")
         return types.CallToolResult(content=[_text(text)], structured_content={_NAME: verdict})
     return refused(verdict, f"{outcome}: " + ", ".join(asked.step["execution"]["reasons"]))
 

@@ -226,7 +226,7 @@ def _identity(enclave: _Enclave, ca: _Authorities, now: datetime) -> Iterator[Ke
         yield KeystoreFault(code=KeystoreCode.FOREIGN, where=where, message=text)
     if not certificate.not_valid_before_utc <= now <= certificate.not_valid_after_utc:
         yield KeystoreFault(
-            code=KeystoreCode.EXPIRED, where=where, message="its certificate does not hold now"
+            code=KeystoreCode.EXPIRED, where=where, message="its certificate is not valid now"
         )
     for name, wanted in ((IDENTITY, ca.identity), (PERMISSIONS, ca.permissions)):
         if _certificate(enclave.home / f"{name}.cert.pem") != wanted:
@@ -286,7 +286,7 @@ def _permitted(
     yield from moving(enclave.name, grants)
     yield from falsifying(enclave.name, grants)
     if wanted is None:
-        message = "expected no enclave but the map's: nobody says what its rights are for"
+        message = "expected no enclave but the map's: the map does not name this one"
         yield KeystoreFault(code=KeystoreCode.STRANGE, where=enclave.name, message=message)
     else:
         yield from _differing(enclave.name, grants, wanted)

@@ -158,7 +158,7 @@ class ToolBody:
         if self._is_over or not self._server.ready:
             raise ControllerError("the tools' server is not there")
         if self._is_stopping:
-            raise ControllerError("the robot is being stopped, and nobody says that it stands")
+            raise ControllerError("the robot is being stopped, and its standstill is not confirmed")
         try:
             call = self._means.rebuilder.rebuild(action)
         except MalformedError as error:

@@ -38,7 +38,7 @@ def list_advice(trust: Trust, folder: Path, now: Now) -> Iterator[Advice]:
         part, told = f"revocations/{known.authority}", to_timestamp(known.next_update_ms)
         left_ms, life_ms = known.next_update_ms - now.utc_ms, known.next_update_ms - known.issued_ms
         if left_ms < 0:
-            message = f"stale since {told}: nothing that it covers is believed"
+            message = f"stale since {told}: the gate accepts nothing that it covers"
             yield unsafe(part, AdviceCode.REVOCATIONS, message, place=str(where), mend=_FRESH)
         elif left_ms * _LEAST_PARTS < life_ms:
             message = f"stale after {told}: less than a quarter of its life is left"
@@ -57,7 +57,7 @@ def authority_advice(trust: Trust, folder: Path, now: Now) -> Iterator[Advice]:
         place = str(folder / ("root.pem" if is_root else f"{part}.pem"))
         told = to_timestamp(end_ms)
         if end_ms < now.utc_ms:
-            message = f"ended {told}: nothing under it is believed"
+            message = f"ended {told}: the gate accepts nothing under it"
             yield unsafe(part, AdviceCode.CERTIFICATE, message, place=place, mend=_NEXT)
         else:
             message = f"ends {told}, and everything under it then"

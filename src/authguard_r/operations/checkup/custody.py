@@ -101,7 +101,7 @@ def file_advice(part: str, path: Path, *, uid: int, secret: bool = False) -> Ite
         yield warning(
             part,
             AdviceCode.READABLE,
-            f"readable by others (mode {mode:o}); what it holds is not encrypted",
+            f"readable by others (mode {mode:o}); its contents are not encrypted",
             place=str(path),
             mend=f"chmod go-rwx {path}",
         )
@@ -177,7 +177,7 @@ def stray_advice(
         yield unsafe(
             "stray key",
             AdviceCode.STRAY_KEY,
-            f"a private key beside the gate, {_whose(role, authority)}",
+            f"a private key on the gate's machine, {_whose(role, authority)}",
             place=str(path),
             mend=f"move {path} to the machine where it signs",
         )
@@ -209,7 +209,7 @@ def authority_key_advice(folder: Path, authorities: Mapping[bytes, str]) -> Iter
 
 def _whose(role: Role | None, authority: str | None) -> str:
     if authority is not None:
-        return f"of the authority `{authority}`: whoever has it makes anybody"
+        return f"of the authority `{authority}`: anyone who has it can act as anyone"
     return "whose it is, nothing here says" if role is None else f"of role `{role}`"
 
 

@@ -89,7 +89,7 @@ def _unusable(path: Path, error: AuthGuardError) -> Advice:
         return warning(
             "store",
             AdviceCode.STORE,
-            "a gate holds it, so its log was not looked at",
+            "a running gate has it open, so its log was not checked",
             place=str(path),
             mend="authguard status asks the gate; look again when it has ended",
         )
@@ -104,7 +104,7 @@ def witness_advice(config: GateConfig) -> Iterator[Advice]:
     here = [place.url for place in config.witnesses if place.url.startswith("http:")]
     if many - len(here) < quorum:
         message = "the quorum needs a witness on this machine: root here puts back both"
-        mend = "let witnesses of somebody else's be enough: docs/howto/witness.md"
+        mend = "let witnesses of another operator be enough: docs/howto/witness.md"
         yield warning("witness", AdviceCode.WITNESS, message, place=", ".join(here), mend=mend)
     if 2 * quorum <= many:
         message = f"{quorum} of {many}: two logs can be witnessed at a time, each by others"
@@ -125,7 +125,7 @@ def counter_advice(counter: Path | None, store: Path, *, witnessed: bool = False
     if counter is None and witnessed:
         return fine("counter", AdviceCode.COUNTER, "none; witnesses say how far the log has come")
     if counter is None:
-        message = "no outside counter: a store that is put back, or deleted, is not noticed"
+        message = "no outside counter: a store that is rolled back, or deleted, is not noticed"
         mend = "authguard gate --counter FILE, or witnesses: docs/howto/rollback.md"
         return warning("counter", AdviceCode.COUNTER, message, place=str(store), mend=mend)
     place, folder = str(counter), counter.parent
@@ -147,7 +147,9 @@ def _anchor(path: Path) -> Advice:
         told = "cosigned by witnesses; audit verify says how far, given their keys"
         return fine("anchor", AdviceCode.ANCHOR, told, place=str(path))
     if beside.is_file() or read_held(path, CHECKPOINT, NEWEST):
-        told = "its checkpoint is where the store is: whoever writes the one can replace the other"
+        told = (
+            "its checkpoint is where the store is: anyone who can write one can replace the other"
+        )
     return warning(
         "anchor",
         AdviceCode.ANCHOR,

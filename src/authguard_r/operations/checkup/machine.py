@@ -118,7 +118,7 @@ def room_advice(folder: Path, reserve_bytes: int) -> Advice:
         reserve_bytes: from the signed configuration.
     """
     free = shutil.disk_usage(folder).free
-    told = f"{free >> 20} MiB free, {reserve_bytes >> 20} MiB of it kept back"
+    told = f"{free >> 20} MiB free, {reserve_bytes >> 20} MiB of it reserved"
     if free < reserve_bytes:
         return unsafe(
             "disk",

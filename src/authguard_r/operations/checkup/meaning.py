@@ -91,7 +91,7 @@ def _beliefs(binding: Binding, site: Site) -> Iterator[Advice]:
                 mend="bind it to a type that is `state_writing`",
             )
     if refused:
-        message = f"{refused} ways are of types that no mission grants: refused, whoever asks"
+        message = f"{refused} ways are of types that no mission can grant: always refused"
         yield fine("binding", AdviceCode.STATE_WRITING, message)
 
 

@@ -52,7 +52,11 @@ def user_advice(config: GateConfig, *, uid: int | None) -> Iterator[Advice]:
         uid: the user that the gate runs as; None: it is not known yet.
     """
     if uid == 0:
-        yield _root("gate", "the gate runs as root: a fault in it is everybody's", unsafe_too=True)
+        yield _root(
+            "gate",
+            "the gate runs as root: a fault in it affects the whole machine",
+            unsafe_too=True,
+        )
     for number, peer in enumerate(config.peers):
         yield from _peer_advice(peer, f"gate.peers[{number}]", uid=uid)
     taken = {role for peer in config.peers for role in peer.roles}
@@ -60,7 +64,7 @@ def user_advice(config: GateConfig, *, uid: int | None) -> Iterator[Advice]:
         yield warning(
             "users",
             AdviceCode.VACANT_ROLE,
-            f"nobody may be `{role}` here",
+            f"no user may be `{role}` here",
             place="gate.peers",
             mend=f"--peer USER:{role}",
         )
@@ -71,7 +75,7 @@ def _peer_advice(peer: Peer, place: str, *, uid: int | None) -> Iterator[Advice]
     who = f"`{name}` ({peer.uid})" if name else f"user {peer.uid}"
     planner = ClientRole.PLANNER in peer.roles
     if peer.uid == OVERFLOW_UID:
-        message = f"{who} stands for everybody whom a machine does not know"
+        message = f"{who} is the overflow user: it stands for every unknown user"
         yield unsafe("users", AdviceCode.USER, message, place=place, mend="name a user of its own")
     elif name is None:
         message = f"{who} does not exist on this machine"
@@ -106,7 +110,7 @@ def config_advice(config: GateConfig) -> Iterator[Advice]:
         yield warning(
             "mode",
             AdviceCode.SHADOW,
-            "shadow: everything is judged and recorded, nothing is held or released",
+            "shadow: every action is decided and recorded, none is blocked or released",
             place="gate.mode",
             mend="sign one with `mode: enforce` when the trial is over",
         )
@@ -114,7 +118,7 @@ def config_advice(config: GateConfig) -> Iterator[Advice]:
         yield warning(
             "disclosure",
             AdviceCode.DISCLOSURE,
-            "`full`: a planner is told what was expected, and can feel its way along the limits",
+            "`full`: a planner sees the expected values, and can search for the limits",
             place="gate.disclosure",
             mend="sign one with `disclosure: fields`, or `codes`",
         )
@@ -137,7 +141,7 @@ def _reader_advice(config: GateConfig) -> Iterator[Advice]:
         yield warning(
             "readers",
             AdviceCode.READERS,
-            f"nobody may read all of {', '.join(sorted(sealed))}: nobody can replay this log",
+            f"no one may read all of {', '.join(sorted(sealed))}: no one can replay this log",
             place="gate.readers",
             mend="name a reader of all that is sealed: authguard audit reader",
         )

@@ -175,5 +175,5 @@ def _write(file: BinaryIO, data: bytes) -> None:
 
 
 def _failed(error: OSError, path: Path) -> LogError:
-    text = f"cannot be written: {error.strerror}; trials before stay, run again to go on"
+    text = f"cannot be written: {error.strerror}; the log has every finished trial; run again"
     return LogError(text, where=str(path), is_here=True)

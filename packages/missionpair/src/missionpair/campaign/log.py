@@ -198,7 +198,7 @@ class LogWriter:
         self._end, self._written_s = at, monotonic()
 
     def _failed(self, error: OSError) -> LogError:
-        text = f"cannot be written: {error.strerror}; trials before stay, run again to go on"
+        text = f"cannot be written: {error.strerror}; the log has every finished trial; run again"
         return LogError(text, where=str(self._path), is_here=True)
 
     def _taken_up(self, campaign: Campaign) -> tuple[int, str, int, bool]:
@@ -307,7 +307,7 @@ def _trials(
     if not ended and not is_partial_allowed:
         text = "has no last line: it was cut, or its campaign has not come to its end"
         raise LogError(
-            f"{text} (run it again to go on; `report` takes it as it is with `--partial`)",
+            f"{text} (run it again to continue; `report --partial` reads it as it is)",
             where=str(path),
         )
 
@@ -325,7 +325,7 @@ def _lines(path: Path, *, is_cut_allowed: bool) -> Iterator[bytes]:
                     raise LogError(f"has a line of more than {MAX_LINE} bytes", where=str(path))
                 if not is_cut_allowed:
                     raise LogError(
-                        "ends in the middle of a line: it was cut (run it again to go on)",
+                        "ends in the middle of a line: it was cut (run it again to continue)",
                         where=str(path),
                     )
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:

@@ -139,7 +139,9 @@ class Team:
             pair, error = self._told.get()
             self._over[pair] = error
         if number not in self._over and not are_here:
-            text = "a process that ran pairs was killed; trials before stay, run again to go on"
+            text = (
+                "a process that ran pairs was killed; the log has every finished trial; run again"
+            )
             raise LogError(text, where=str(self._ahead.path(number)), is_here=True)
         return number in self._over
 

@@ -123,7 +123,9 @@ class PairRun:
             stage.show(())
             unfit = stopped(fit, stage)
             if unfit is not None:
-                raise DefenseError(f"{unfit} (score it all the same with `--unqualified`, anew)")
+                raise DefenseError(
+                    f"{unfit} (score it all the same: start again with `--unqualified`)"
+                )
 
     def _trial(self, dice: Dice) -> Trial:
         begun, spent = perf_counter_ns(), TrialCosts(cost_microusd=-self._cost(dice))

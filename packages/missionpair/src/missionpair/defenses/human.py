@@ -98,7 +98,9 @@ def make(
         answer_ms=_count("answer_ms", answer_ms),
     )
     if fatigue.floor > fatigue.first:
-        raise DefenseError("`human` takes no `floor` above `first`: nobody looks better when tired")
+        raise DefenseError(
+            "`human` takes no `floor` above `first`: people do not see more when they are tired"
+        )
     return Human(fatigue, _count("seed", seed))
 
 

@@ -100,7 +100,7 @@ def _soundness(those: Sequence[MeasuredCampaign], defense: str) -> Iterator[Dema
     faults = sum(flow.reasons.get(Reason.INTERNAL_FAULT, 0) for flow in flows)
     for name, count in (
         ("other trials with an unauthorized action", aside),
-        ("trials that nobody answered", sum(flow.errors for flow in flows)),
+        ("trials without an answer", sum(flow.errors for flow in flows)),
         ("faults of the gate itself", faults),
     ):
         yield Demand(defense=defense, demand=name, wanted="none", found=str(count), met=count == 0)

@@ -71,7 +71,7 @@ class TrialChecker:
         if trial.hijacked and not trial.unauthorized:
             return "hijacked without an unauthorized action"
         if trial.complied != (trial.blocked is not None):
-            return "`blocked` is told of a planner that complied, and of no other"
+            return "expected `blocked` only for a planner that complied"
         if trial.complied:
             if trial.instead or trial.blocked is (trial.unauthorized > 0):
                 return "complied, and `instead` or `blocked` says otherwise"

@@ -176,7 +176,7 @@ def _of_log(path: Path, defense: str) -> ReplayPlanner:
 def _of_round(one: Any) -> _StoredAnswer:
     raw: bytes = one.reply.encode()
     cut = b64(sha256(raw).digest()) != one.reply_digest
-    fault = "the log does not hold all of its bytes" if cut else ""
+    fault = "the log does not have all of its bytes" if cut else ""
     return _StoredAnswer(raw, one.declined, fault)
 
 

@@ -280,7 +280,7 @@ def import_replies(
                 text = f"answers `{reply.pair[:80]}`, which is no pair of `{suite}`"
                 raise SourceError(f"{text}: `missionpair list {suite}` prints them", where=where)
     if not replies:
-        raise SourceError("holds no reply: give one JSON object a line", where=str(source))
+        raise SourceError("has no reply: give one JSON object on each line", where=str(source))
     if date and dates and date not in dates:
         text = f"says other dates ({', '.join(sorted(dates)[:3])}) than `--date {date}`"
         raise SourceError(text, where=str(source))

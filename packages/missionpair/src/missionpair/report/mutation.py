@@ -85,7 +85,7 @@ def read_mutation(path: Path) -> Mutation:
     for mutant in mutation.mutants:
         if not 0 <= mutant.let_through <= mutant.trials:
             where = f"{path}: {printable(mutant.check)}"
-            raise MeasureError("expected trials, and no more let through than those", where=where)
+            raise MeasureError("expected trials, and at most as many that passed", where=where)
     return mutation
 
 

@@ -142,7 +142,7 @@ class RosBody:
         if not self.is_served:
             raise ControllerError("planners are not served")
         if not self.stands:
-            raise ControllerError("the robot is being stopped, and nobody says that it stands")
+            raise ControllerError("the robot is being stopped, and its standstill is not confirmed")
         try:
             key, call = self._rebuilt(action)
             outlet = self.proxies[key]
@@ -251,7 +251,7 @@ class RosBody:
     async def _stopped(self, key: str) -> bool:
         """Stop one outlet; one that fails is not stopped, and does not prevent the others."""
         try:
-            is_over, message = await self.proxies[key].stop(), "nobody says that it is over"
+            is_over, message = await self.proxies[key].stop(), "its end is not confirmed"
         except Exception as error:  # noqa: BLE001 - whatever it is, it is tried again
             is_over, message = False, f"{type(error).__name__}: {error}"
         if not is_over:

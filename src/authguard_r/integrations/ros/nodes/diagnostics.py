@@ -179,11 +179,14 @@ def _of_gate(seen: ReportedStatus) -> tuple[bytes, str]:
 
 def _of_robot(seen: ReportedStatus) -> tuple[bytes, str]:
     if seen.braking:
-        return DiagnosticStatus.ERROR, "is being stopped: nobody says that it stands"
+        return DiagnosticStatus.ERROR, "is being stopped: its standstill is not confirmed"
     if seen.missing:
         return DiagnosticStatus.WARN, f"not there: {', '.join(seen.missing)}"
     if not seen.is_watched:
-        return DiagnosticStatus.WARN, "nobody hears the heartbeat: no dead-man would cancel a goal"
+        return (
+            DiagnosticStatus.WARN,
+            "no process receives the heartbeat: no dead-man would cancel a goal",
+        )
     if seen.running:
         return DiagnosticStatus.OK, f"runs: {seen.running}"
     return DiagnosticStatus.OK, "stands"

@@ -173,7 +173,7 @@ async def spun(
         if not failed.done():
             failed.set_exception(
                 EnvironmentFault(
-                    f"the node does not spin any more: {type(why).__name__}: {why}",
+                    f"the node has stopped spinning: {type(why).__name__}: {why}",
                     reason=reason,
                 )
             )

@@ -318,7 +318,7 @@ async def _require_store(place: GatePlace) -> None:
         await kept.close()
     if anchor["state"] == "put_back":
         raise StoreError(
-            f"the gate's store was put back: {anchor['message']}",
+            f"the gate's store was rolled back: {anchor['message']}",
             reason=Reason.ROLLED_BACK,
             where="gate.store",
         )
