@@ -40,11 +40,11 @@ GROUPS: Final = {
 COMMANDS: Final = {
     words: CommandEntry(*told)
     for words, told in {
-        "status": ("operate:status", "Show the robot, the mission and what needs an answer"),
+        "status": ("status:status", "Show the robot, the mission and what needs an answer"),
         "watch": ("watch:watch", "Show decisions, requests and alerts as they happen"),
-        "explain": ("operate:explain", "Explain the last refusal, or any record of the log"),
+        "explain": ("explain:explain", "Explain the last refusal, or any record of the log"),
         "stop": ("stop:stop", "Stop the robot now"),
-        "resume": ("operate:resume", "Resume a stopped or suspended mission"),
+        "resume": ("resume:resume", "Resume a stopped or suspended mission"),
         "mission draft": ("draft:draft", "Draft a mission from a sentence"),
         "mission compile": ("mission:compile", "Compile a draft to a mission"),
         "mission review": ("mission:review", "Show what a mission grants, row by row"),

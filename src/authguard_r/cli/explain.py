@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`authguard status`, `resume`, `explain`: a person at a gate that runs."""
+"""`authguard explain`: the newest request or refusal, or one record, in words."""
 
 from __future__ import annotations
 
@@ -8,68 +8,22 @@ from typing import Annotated, Any
 
 import typer
 
-from authguard_r.authoring.compile.request import card, headlines
+from authguard_r.authoring.compile.request import card
 from authguard_r.cli.gateway import (
     GateOption,
     ProofOption,
     ReadingRole,
-    Remote,
     RoleOption,
     connected,
 )
-from authguard_r.cli.inputs import JsonFlag, TrustOption
+from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.log_explain import DraftOption, explained, write_change
 from authguard_r.cli.log_reading import strange
-from authguard_r.cli.mission import TokenArgument
-from authguard_r.cli.orders import (
-    TemplateOption,
-    opened_mission,
-    signed_order,
-    simulated_ms,
-)
-from authguard_r.cli.signing_key import CertOption, OrderKeyOption, PassphraseFile, signer_of
-from authguard_r.cli.status_lines import has_requests, status_lines
+from authguard_r.cli.status_lines import has_requests
 from authguard_r.client import GateClient
 from authguard_r.client.approvals import shown
-from authguard_r.enforcement.signed_orders import Verb
 from authguard_r.store.sqlite import read_rows
 from authguard_r.wire.output import emit
-
-
-def status_command(
-    gate: GateOption = None,
-    role: RoleOption = ReadingRole.OPERATOR,
-    trust: ProofOption = None,
-    as_json: JsonFlag = False,
-) -> int:
-    """Show what needs an answer first, then the robot, the mission and the connected clients."""
-    with connected(gate, role, trust) as client:
-        status = client.status()
-        requests = headlines(client.approvals()) if has_requests(status) else ()
-    emit(status, status_lines(status, requests), as_json=as_json)
-    return 0
-
-
-def resume_command(
-    token: TokenArgument,
-    trust: TrustOption,
-    gate: GateOption = None,
-    key: OrderKeyOption = None,
-    cert: CertOption = None,
-    passphrase_file: PassphraseFile = None,
-    template: TemplateOption = None,
-    as_json: JsonFlag = False,
-) -> int:
-    """Resume a stopped or suspended mission: sign the order and send it to the running gate."""
-    verified = opened_mission(token, trust, template)
-    signer = signer_of(verified.mission.issuer, trust, key, cert, passphrase_file)
-    with connected(gate, ReadingRole.OPERATOR, trust) as client:
-        at_ms = simulated_ms(Remote(client), trust)
-        standing = client.command(signed_order(verified, signer, Verb.RESUME, at_ms))
-    payload = {"standing": standing, "status": standing.get("status")}
-    line = f"{standing.get('mid')} version {standing.get('version')}: {standing.get('status')}"
-    emit(payload, [line], as_json=as_json)
-    return 0
 
 
 def explain_command(
