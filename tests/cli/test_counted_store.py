@@ -203,8 +203,11 @@ def test_a_command_that_needs_the_store_itself_says_where_its_gate_is(
     finally:
         held.close()
     assert (code, reason) == (5, "STORE_UNAVAILABLE")
-    assert "the gate is running (process 4711), use its socket `gone.sock`" in message
-    assert "nobody answers" not in message  # nobody was asked
+    assert (
+        "the gate is running (process 4711) and has this store open: use a command with --gate"
+        in message
+    )
+    assert "no process answers" not in message  # none was asked
 
 
 def test_learning_from_a_store_that_a_gate_holds_names_its_socket(shell: Shell) -> None:

@@ -92,7 +92,7 @@ def test_a_link_and_what_is_no_file_give_no_defaults(home: Path) -> None:
     ("text", "why"),
     [
         ("trust = trust", "Invalid value"),
-        ('robot = "courier-1"', f"`robot` is none of {', '.join(NAMES)}"),
+        ('robot = "courier-1"', f"unknown key `robot`; allowed: {', '.join(NAMES)}"),
         ("trust = 1", "`trust`: expected a text in quotes"),
         ('trust = ""', "`trust`: expected a text in quotes"),
         ("#" * (MAX_BYTES + 1), f"it has more than {MAX_BYTES} bytes"),
@@ -144,7 +144,7 @@ VERIFIED = """\
 authentic: {0} version 1
 signed by operator-1 (operator)
 digest {1}
-in time
+valid now
 """
 
 

@@ -174,7 +174,7 @@ def test_roles_that_one_user_has_are_unsafe(
     shared = config(peers=(both, *others))
     Path("gate.token").write_bytes(sign_object(shared, Tag.GATE, signer))
     code, told = doctor(capsys, *demo)
-    # in one folder nothing is apart anyway; a gate that is no trial refuses it
+    # in one folder roles are not separated anyway; a gate that is no trial refuses it
     assert (code, "SHARED_USER" in codes(told, "warning")) == (0, True)
 
 

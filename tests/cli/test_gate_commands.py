@@ -235,8 +235,8 @@ def test_status_says_in_words_what_a_mission_is_worth_and_what_stands() -> None:
     mission = {"mid": "first", "version": 1, "status": "active", "void": "CERTIFICATE_REVOKED"}
     assert "  AUTHORIZES NOTHING: CERTIFICATE_REVOKED" in status_lines({"mission": mission})
     plain = status_lines({"mission": {**mission, "void": None}, "stop_stands": False})
-    assert not any("AUTHORIZES" in line or "STANDS" in line for line in plain)
-    (stop,) = [line for line in status_lines({"stop_stands": True}) if "STANDS" in line]
+    assert not any("AUTHORIZES" in line or "STOPPED BY" in line for line in plain)
+    (stop,) = [line for line in status_lines({"stop_stands": True}) if "STOPPED BY" in line]
     assert "authguard resume" in stop
     policy = {"policy": "courier", "version": 2, "expiry": "2027-01-01T00:00:00Z"}
     quiet = status_lines({"emergency": {**policy, "under_way": None, "unknown": []}})

@@ -115,13 +115,13 @@ def test_a_checkpoint_in_the_file_says_nothing_until_a_key_is_named(session: Des
         assert told["not_verified"] == ["no key was named"]
         code, text = session("audit", "verify", name)
         assert "not verified: no key was named" in text
-        assert "nothing outside says" in text
+        assert "no outside checkpoint shows" in text
         code, told = session.json("audit", "verify", name, "--log-key", session.key)
         assert (code, told["anchored"], told["anchored_size"]) == (0, "checkpoint", SIZE)
         assert (told["told_by"], told["fault"], told["where"]) == (None, "", "")
         code, text = session("audit", "verify", name, "--trust", "trust")
         assert (code, f"anchored: checkpoint, {SIZE} of {SIZE} records" in text) == (0, True)
-        assert "the file's own" in text
+        assert "the checkpoint lies where the log lies" in text
 
 
 def test_a_checkpoint_that_was_kept_elsewhere_shows_that_the_end_is_gone(session: Desk) -> None:

@@ -201,8 +201,8 @@ def test_lint_names_what_to_look_at_and_fails_on_errors(shell: Shell) -> None:
     assert (code, text.splitlines()[0]) == (
         0,
         (
-            "WARNING UNGUARDED_RETURN at actions[5].guards: only order holds `go-home` back: "
-            "no guard on trusted state"
+            "WARNING UNGUARDED_RETURN at actions[5].guards: only the order of grants delays "
+            "`go-home`: no guard on trusted state"
         ),
     )
     assert shell("mission", "check", "m.json", *SITE, "--strict")[0] == 1
@@ -217,7 +217,7 @@ def test_a_mission_without_findings_says_so(shell: Shell) -> None:
     code, text = shell(
         "mission", "check", compiled(shell, (UNGUARDED[0], guard)), *SITE, "--strict"
     )
-    assert (code, text) == (0, "nothing to look at\n")
+    assert (code, text) == (0, "no findings; next: authguard mission sign\n")
 
 
 def test_compile_and_review_show_the_findings_too(shell: Shell) -> None:

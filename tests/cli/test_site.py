@@ -183,7 +183,13 @@ def test_check_names_every_schema_fault_at_once_with_the_allowed_values(shell: S
     assert code == 4
     assert [(fault["where"], fault["message"]) for fault in answer["faults"]] == [
         ("regions.public-corridor.approach[1]", "expected `int`, got `str`"),
-        ("regions.station-101", "object contains unknown field `mop`"),
+        (
+            "regions.station-101",
+            (
+                "object contains unknown field `mop` (did you mean `map`?); allowed: "
+                "approach, floor, map, names, points, tags, within"
+            ),
+        ),
         ("vocabulary.pick.physical", "expected `int`, got `str`"),
     ]
     assert answer["error"]["where"] == "bad.yaml:regions.public-corridor.approach[1]"
@@ -472,4 +478,4 @@ def test_a_file_of_another_kind_is_named(shell: Shell) -> None:
     assert (code, "this file is a binding: got " in out) == (4, True)
     assert "expected `authguard-r/site/1`" in out
     code, out = shell("mission", "compile", "h/site.yaml", "--site", "h/site.yaml")
-    assert (code, "this file is a site: " in out) == (4, True)
+    assert (code, "this file is a site file, expected a draft" in out) == (4, True)

@@ -83,7 +83,7 @@ def test_l8_verify_never_says_of_a_shortened_log_that_nothing_is_missing(session
         if size:  # an empty file is no log
             code, told, text = session.verify(session.log.rows[:size], noted=False)
             assert (code, told["anchored"], told["anchored_size"]) == (0, "unanchored", 0)
-            assert "nothing outside says that no record is missing at the end" in text
+            assert "no outside checkpoint shows that no record is missing at the end" in text
         # a checkpoint that lies beside it is held against it, whoever signed that
         code, told, text = session.verify(session.log.rows[:size])
         assert (code, told["anchored"]) == (int(size < session.log.size), "unanchored")

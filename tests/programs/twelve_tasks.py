@@ -181,7 +181,9 @@ def learns_why_it_refused(me: Person) -> None:
     """8: find out why the gate refused, from the status on."""
     if "OBJECT_OUT_OF_SCOPE" not in (reasons := me.plans("06-wrong-package.json")):
         raise LostError(f"the planner's wrong package: {reasons}")
-    command = me.finds(r"last refusal, .*\(authguard (explain(?: \d+)?)\)", me.types("status"))
+    command = me.finds(
+        r"last refusal, .*\(authguard (explain(?: \d+| --refusal)?)\)", me.types("status")
+    )
     shown = me.types(command)
     me.finds("OBJECT_OUT_OF_SCOPE at object", shown)
     me.finds("to do: ", shown)
@@ -206,7 +208,7 @@ def stops_and_resumes(me: Person) -> None:
     """10: stop the robot that has moved, and resume the mission."""
     me.looks_up("stop")
     command = me.finds("until `authguard (resume)`", me.types("stop --reason 'a child'"))
-    me.finds("resume.*ends it", me.types("status"))
+    me.finds("resume.*ends the stop", me.types("status"))
     me.finds("token", me.types(f"{command} -h"))
     me.finds("active", me.types(f"{command} v1.token"))
 

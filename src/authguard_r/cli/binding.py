@@ -99,7 +99,7 @@ def show_command(
         )
     lines = [f"{found.id}: {len(found.tools)} tools", f"digest {binding_digest(found)}"]
     for row in rows:
-        meaning = "never a planner's" if row["refused"] else f"by {row['tool']}"
+        meaning = "refused to every planner" if row["refused"] else f"by {row['tool']}"
         lines.append(f"{row['where']}: {row['type']} {meaning}")
         lines += [f"  {row['sample']}"] if row["sample"] else []
     payload = {"binding": found.id, "digest": binding_digest(found), "ways": rows}

@@ -311,7 +311,7 @@ def _ability_lines(capability: Capability) -> Iterator[str]:
         yield f"    within {', '.join(capability.regions)}"
     yield f"    without {', '.join(capability.without) or 'nothing missing'}"
     if capability.after_stop:
-        yield "    ALSO WHILE AN OPERATOR'S STOP STANDS"
+        yield "    ALSO AFTER AN OPERATOR'S STOP"
     if capability.past_safety:
         yield "    ALSO WHEN THE SAFETY GATE CALLS IT UNSAFE"
 

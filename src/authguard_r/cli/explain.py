@@ -34,6 +34,9 @@ def explain_command(
             min=0,
         ),
     ] = None,
+    refusal: Annotated[
+        bool, typer.Option("--refusal", help="The last refusal, also while a request is open.")
+    ] = False,
     gate: GateOption = None,
     role: RoleOption = ReadingRole.OPERATOR,
     trust: ProofOption = None,
@@ -51,7 +54,8 @@ def explain_command(
             told = explained(read_rows(store), seq)
     else:
         with connected(gate, role, trust) as client:
-            told = (_newest_request(client) if seq is None else None) or client.explain(seq)
+            asks = seq is None and not refusal
+            told = (_newest_request(client) if asks else None) or client.explain(seq)
     lines = [str(line) for line in told.get("text") or []]
     if draft is not None:
         lines.append(write_change(draft, told))

@@ -6,7 +6,6 @@ Only files move between the machines. The steps need the extra `frost`; without 
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
@@ -15,8 +14,6 @@ import typer
 from authguard_r.cli.gateway import GateOption
 from authguard_r.cli.inputs import JsonFlag, TrustOption
 from authguard_r.cli.signing_key import PassphraseFile
-from authguard_r.core.errors import EnvironmentFault
-from authguard_r.core.reasons import Reason
 
 GroupName = Annotated[str, typer.Option("--group", help="The name of the group.")]
 ThresholdOption = Annotated[
@@ -61,7 +58,6 @@ def deal_command(
     as_json: JsonFlag = False,
 ) -> int:
     """Make a group's key and each member's share. The dealer knows all shares (see `dkg`)."""
-    _require_extra()
     from authguard_r.cli import frost_keys
 
     return frost_keys.deal(group, threshold, tuple(member), out, as_json=as_json)
@@ -75,7 +71,6 @@ def plan_command(
     as_json: JsonFlag = False,
 ) -> int:
     """List who makes a key together. Every member needs this file."""
-    _require_extra()
     from authguard_r.cli import frost_keys
 
     return frost_keys.plan(group, threshold, tuple(member), out, as_json=as_json)
@@ -91,7 +86,6 @@ def offer_command(
     as_json: JsonFlag = False,
 ) -> int:
     """Round 1: make your own secret, and an offer for every member."""
-    _require_extra()
     from authguard_r.cli import frost_keys
 
     return frost_keys.offer(plan, member, secret, out, as_json=as_json)
@@ -101,7 +95,6 @@ def exchange_command(
     secret: SecretFile, offer: OfferFiles, out: OutFolder, as_json: JsonFlag = False
 ) -> int:
     """Round 2: check every offer, and make an encrypted contribution for each other member."""
-    _require_extra()
     from authguard_r.cli import frost_keys
 
     return frost_keys.exchange(secret, tuple(offer), out, as_json=as_json)
@@ -118,7 +111,6 @@ def finish_command(
     as_json: JsonFlag = False,
 ) -> int:
     """Check the contributions of the others, write your share and the group; destroy the secret."""
-    _require_extra()
     from authguard_r.cli import frost_keys
 
     return frost_keys.finish(secret, tuple(offer), tuple(contribution), out, as_json=as_json)
@@ -130,7 +122,6 @@ def protect_command(
     as_json: JsonFlag = False,
 ) -> int:
     """Encrypt your share with a passphrase, in its place."""
-    _require_extra()
     from authguard_r.cli import frost_keys
 
     return frost_keys.protect(share, passphrase_file, as_json=as_json)
@@ -158,7 +149,6 @@ def certify_command(
         )
     robots = None if every_robot else tuple(robot or ())
     regions = None if every_region else tuple(region or ())
-    _require_extra()
     from authguard_r.cli import frost_keys
 
     return frost_keys.certify(
@@ -186,7 +176,6 @@ def ballot_command(
     as_json: JsonFlag = False,
 ) -> int:
     """Write what the group signs: the answer to an open request."""
-    _require_extra()
     from authguard_r.cli import frost_signing
 
     place = frost_signing.RequestPlace(gate=gate, trust=trust, site=site, store=store, robot=robot)
@@ -201,7 +190,6 @@ def commit_command(
     as_json: JsonFlag = False,
 ) -> int:
     """Round 1: make two nonces for one signature, and write the commitment to them."""
-    _require_extra()
     from authguard_r.cli import frost_signing
 
     return frost_signing.commit(
@@ -220,7 +208,6 @@ def share_command(
     as_json: JsonFlag = False,
 ) -> int:
     """Round 2: show what is signed, ask, and write your part of the signature."""
-    _require_extra()
     from authguard_r.cli import frost_signing
 
     return frost_signing.give(
@@ -251,7 +238,6 @@ def aggregate_command(
     as_json: JsonFlag = False,
 ) -> int:
     """Make the approval token from the parts, or name the signer of an invalid part."""
-    _require_extra()
     from authguard_r.cli import frost_signing
 
     return frost_signing.aggregate(
@@ -272,7 +258,6 @@ def submit_command(
     as_json: JsonFlag = False,
 ) -> int:
     """Send the token to a gate or its store; exit 1 when it does not count."""
-    _require_extra()
     from authguard_r.cli import frost_signing
 
     place = frost_signing.RequestPlace(gate=gate, trust=trust, site=site, store=store, robot=robot)
@@ -285,16 +270,6 @@ def show_command(
     as_json: JsonFlag = False,
 ) -> int:
     """Show what a file is and whether it is valid, without its secrets."""
-    _require_extra()
     from authguard_r.cli import frost_signing
 
     return frost_signing.inspect(file, passphrase_file=passphrase_file, as_json=as_json)
-
-
-def _require_extra() -> None:
-    if find_spec("nacl") is None:
-        raise EnvironmentFault(
-            "threshold signatures need the extra: pip install 'authguard-r[frost]'",
-            reason=Reason.SETUP_INVALID,
-            where="nacl",
-        )

@@ -282,7 +282,8 @@ def told_of(beside: GateAddress | None, store: Path, *, tried: bool = False) -> 
             raise
         away = ": no process answers there now" if tried else ""
         raise StoreError(
-            f"the gate is running (process {beside.pid}), use its socket `{beside.socket}`{away}",
+            f"the gate is running (process {beside.pid}) and has this store open: use a command "
+            f"with --gate {beside.socket}, or end the gate{away}",
             where=str(store),
         ) from error
 

@@ -14,6 +14,7 @@ import typer
 
 from authguard_r.access.files import trusted_site
 from authguard_r.approvals.organization import VerifiedPolicy, open_policy
+from authguard_r.cli.file_kinds import TOKEN, expecting
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag
 from authguard_r.core.errors import EnvironmentFault, MalformedError
@@ -85,7 +86,9 @@ def wall_now(text: str | None) -> Now:
 
 def read_mission(path: Path, trust: Trust, now: Now) -> VerifiedMission:
     """Return the mission in a token file after steps 1 to 3."""
-    return verify_mission(read_file(path), verifier=trust, now=now, roles=ISSUER_ROLES)
+    data = read_file(path)
+    with expecting(path, data, TOKEN):
+        return verify_mission(data, verifier=trust, now=now, roles=ISSUER_ROLES)
 
 
 def read_risk_policy(path: Path | None, trust: Trust, now: Now) -> VerifiedPolicy | None:
@@ -146,12 +149,19 @@ def gate_robot(folder: Path, robot: str | None) -> RobotId:
     if robot is not None:
         return RobotId(robot)
     if len(names) != 1:
+        if not folder.is_dir():
+            raise _no_folder(folder)
         raise EnvironmentFault(
             f"expected one gate in `{folder}`, found {len(names)}; name one with --robot",
             reason=Reason.FILE_UNAVAILABLE,
             where=str(folder),
         )
     return RobotId(names[0].name.removeprefix("gate-").removesuffix(".cert.pem"))
+
+
+def _no_folder(folder: Path) -> EnvironmentFault:
+    message = f"the trust folder `{folder}` does not exist; --trust names another"
+    return EnvironmentFault(message, reason=Reason.FILE_UNAVAILABLE, where=str(folder))
 
 
 def read_state(data: bytes, *, facts: SiteFacts, trust: Trust, now: Now) -> AttestedState:

@@ -188,10 +188,10 @@ def _lines(found: Verification, known: KnownLog, log: ReadableLog, *, own: bool)
         covers = f": {vouched} records" if vouched else ""
         yield f"  cosigned by {seen.key.name} at {at}{covers}"
     for why in known.ignored:
-        yield f"  a checkpoint lies with it: not verified: {why}"
+        yield f"  a checkpoint next to it was not verified: {why}"
     if found.anchored_size and own:
-        yield "  the checkpoint is the file's own: what was after it may be gone"
+        yield "  the checkpoint lies where the log lies: records after it may be missing"
     if not found.anchored_size:
-        yield "  nothing outside says that no record is missing at the end"
+        yield "  no outside checkpoint shows that no record is missing at the end"
     if log.gate is not None:
         yield f"  read from the running gate (process {log.gate.pid}), not read from disk"

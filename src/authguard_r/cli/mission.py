@@ -18,6 +18,7 @@ from authguard_r.authoring.compile.card import OrganizationDemand, card_digest, 
 from authguard_r.authoring.compile.difference import compare, is_next
 from authguard_r.authoring.compile.lint import Severity, finding_lines, lint
 from authguard_r.cli.ask import AnswerOption, NoInputFlag, ask_until, may_ask
+from authguard_r.cli.file_kinds import DRAFT, expecting
 from authguard_r.cli.inputs import (
     JsonFlag,
     NowOption,
@@ -57,11 +58,13 @@ def compile_command(
     as_json: JsonFlag = False,
 ) -> int:
     """Compile a draft to a mission, or print the questions that are open (exit 3)."""
-    plain = _supersede(read_yaml(read_text(draft), where=str(draft)), supersedes)
+    text = read_text(draft)
+    plain = _supersede(read_yaml(text, where=str(draft)), supersedes)
     model, at, nonce = load_site(site), wall_now(now), b64(os.urandom(16))
 
     def compiled(answers: dict[str, object]) -> Mission:
-        return compile_answered(plain, answers, model, now=at, nonce=nonce)
+        with expecting(draft, text.encode(), DRAFT):
+            return compile_answered(plain, answers, model, now=at, nonce=nonce)
 
     answers = read_answers(answer or ())
     asks = may_ask(as_json=as_json, no_input=no_input)
@@ -157,7 +160,8 @@ def check_command(
     findings = lint(opened, load_site(site))
     failed = [f for f in findings if strict or f.severity is Severity.ERROR]
     payload = {"lint": lint_json(findings), "digest": mission_digest(opened)}
-    emit(payload, finding_lines(findings) or ["nothing to look at"], as_json=as_json)
+    lines = finding_lines(findings) or ["no findings; next: authguard mission sign"]
+    emit(payload, lines, as_json=as_json)
     return 1 if failed else 0
 
 
@@ -181,7 +185,7 @@ def verify_command(
         f"authentic: {verified.mission.mid} version {verified.mission.version}",
         f"signed by {verified.issuer.id} ({verified.issuer.role})",
         f"digest {verified.digest}",
-        "in time" if in_time else "NOT in time: it authorizes nothing now",
+        "valid now" if in_time else "NOT VALID NOW: it authorizes nothing",
     ]
     emit(payload, lines, as_json=as_json)
     return 0 if in_time else 1

@@ -10,6 +10,7 @@ import msgspec
 import typer
 
 from authguard_r.authoring.compile.lint import LintFinding
+from authguard_r.cli.file_kinds import COMPILED, expecting
 from authguard_r.core.encoding import Tag, decode, digest_of, unb64
 from authguard_r.core.identifiers import Digest
 from authguard_r.core.mission import Mission, require_schema
@@ -35,8 +36,9 @@ def read_unverified(path: Path) -> Mission:
     Raises:
         MalformedError: neither.
     """
-    mission = decode(payload_of(path), Mission, where="mission")
-    require_schema(mission)
+    with expecting(path, read_file(path), COMPILED):
+        mission = decode(payload_of(path), Mission, where="mission")
+        require_schema(mission)
     return mission
 
 

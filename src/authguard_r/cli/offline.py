@@ -61,7 +61,10 @@ def offline(place: OfflineStore) -> Iterator[Gate]:
     site, rid = load_site(place.site, place.trust), gate_robot(place.trust, place.robot)
     is_there = place.store.is_file() and place.store.stat().st_size > 0
     if not (place.new or is_there):
-        raise _unusable("no gate answers and no store is there: nothing was done", str(place.store))
+        raise _unusable(
+            "no gate answers and no store is there, so nothing was done; --new makes a store",
+            str(place.store),
+        )
     with told_of(beside_store(place.store), place.store):
         gate = offline_gate(
             place.trust,

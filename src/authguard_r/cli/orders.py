@@ -15,6 +15,7 @@ import typer
 
 from authguard_r.approvals import Selection
 from authguard_r.cli.ask import confirm_shown
+from authguard_r.cli.file_kinds import TOKEN, expecting
 from authguard_r.cli.gateway import Orders, Remote, running_gate
 from authguard_r.cli.inputs import (
     JsonFlag,
@@ -31,6 +32,7 @@ from authguard_r.cli.offline import CounterOption, NewOption, OfflineStore, offl
 from authguard_r.cli.signing_key import CertOption, OrderKeyOption, PassphraseFile, signer_of
 from authguard_r.core.encoding import Tag, b64
 from authguard_r.core.identifiers import Digest, GrantId
+from authguard_r.core.lifecycle import Status
 from authguard_r.core.mission import Mission
 from authguard_r.core.standing import Outcome, Standing
 from authguard_r.core.token import VerifiedMission, read_token, sign_object
@@ -109,13 +111,18 @@ def activate_command(
     """Give the gate a signed mission, its next version, or a template's instance; activate it."""
     data, said = _handed(token, confirmation)
     place = OfflineStore(store=store, trust=trust, site=site, robot=robot, counter=counter, new=new)
-    return manage(place, lambda m: m.activate(data, confirmation=said), as_json=as_json)
+    then = f"an operator's stop or an open action suspends it; next: authguard resume {token}"
+    return manage(
+        place, lambda m: m.activate(data, confirmation=said), suspended=then, as_json=as_json
+    )
 
 
 def _handed(token: Path, named: Path | None) -> tuple[bytes, bytes | None]:
     """Return a token and the record of its signing; a missing record is warned of."""
     data, said = read_file(token), _confirmation(token, named)
-    if said is None and read_token(data).kind is not Tag.INSTANCE:
+    with expecting(token, data, TOKEN):
+        kind = read_token(data).kind
+    if said is None and kind is not Tag.INSTANCE:
         warn("no confirmation lies next to the token: the log will say that none was given")
     return data, said
 
@@ -256,13 +263,23 @@ def manage(
     act: Callable[[Orders], Standing],
     said: Iterable[str] = (),
     *,
+    suspended: str = "",
     as_json: bool,
 ) -> int:
-    """Have one order carried out, by the gate that holds the store or on the store itself."""
+    """Have one order carried out, by the gate that has the store open or on the store itself.
+
+    Args:
+        place: store, trust root and site.
+        act: the order.
+        said: lines to print first.
+        suspended: what to say of a mission that is suspended after the order.
+        as_json: print one JSON object.
+    """
     standing, by_gate = managed(place, act)
     payload = {"standing": msgspec.to_builtins(standing), "status": str(standing.status)}
     lines = [*said, f"{standing.mid} version {standing.version}: {standing.status}"]
     lines += [f"  open release {release.ticket}" for release in standing.open]
+    lines += [suspended] if suspended and standing.status is Status.SUSPENDED else []
     emit({**payload, "by_gate": by_gate}, [*lines, *alone(by_gate, place)], as_json=as_json)
     return 0
 
@@ -291,12 +308,15 @@ def managed(place: OfflineStore, act: Callable[[Orders], T]) -> tuple[T, bool]:
 def opened_mission(token: Path, trust: Path, template: Path | None) -> VerifiedMission:
     """Return the mission that an order is about: signed itself, or made of a template."""
     anchor, at = read_trust(trust), wall_now(None)
-    if read_token(read_file(token)).kind is not Tag.INSTANCE:
+    data = read_file(token)
+    with expecting(token, data, TOKEN):
+        kind = read_token(data).kind
+    if kind is not Tag.INSTANCE:
         return read_mission(token, anchor, at)
     if template is None:
         raise typer.BadParameter("an instance needs its template", param_hint="--template")
     held = open_template(read_file(template), verifier=anchor, now=at, roles=ISSUER_ROLES)
-    return instantiate(read_file(token), held, verifier=anchor, now=at).mission
+    return instantiate(data, held, verifier=anchor, now=at).mission
 
 
 def simulated_ms(orders: Orders, trust: Path) -> int:

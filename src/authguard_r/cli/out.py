@@ -39,6 +39,8 @@ def emit_clarification(error: ClarificationError, *, as_json: bool) -> int:
         for e in asked:
             sys.stderr.write(f"{e.reason}: {e.message} (at {e.where})\n")
             sys.stderr.writelines(f"  {shown(candidate)}\n" for candidate in e.candidates)
+        fields = " ".join(f"--answer {shown(e.where)}=VALUE" for e in asked)
+        sys.stderr.write(f"nothing was written; to answer, add: {fields}\n")
     return 3
 
 

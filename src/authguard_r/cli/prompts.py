@@ -43,7 +43,8 @@ def prompts_command(
     payload |= {"closed": closed} if closed else {}
     asked = f"a person was asked {found.asked} time(s) for {found.missions} mission(s)"
     parts = f"{found.signatures} signature(s), {found.requests} approval request(s)"
-    head = "no missions yet" if figure is None else f"{figure:g} prompts per mission: {asked}"
+    rate = "no missions yet" if figure is None else f"{figure:g} approval requests per mission"
+    head = rate if figure is None else f"{rate}: {asked}"
     lines = [head, f"  {parts}, {found.choices} choice(s)"]
     if log.gate is not None:
         lines.append(

@@ -61,8 +61,8 @@ def status_lines(status: dict[str, Any], requests: Iterable[str] = ()) -> list[s
     head = f"{status.get('robot')}: {status.get('mode')}, up {_age(status.get('uptime_ms'))}"
     mission, issued = status.get("mission"), status.get("issued") or []
     lines = [head + shadow]
+    lines += _stop_lines(status.get("stop_stands"), mission)
     lines += requests
-    lines += _stand_lines(status.get("stop_stands"))
     lines += _anchor_lines(status.get("anchor"))
     lines += [f"DAMAGED: {text}" for text in status.get("damaged") or []]
     lines += _emergency_lines(status.get("emergency"))
@@ -116,7 +116,7 @@ def _refusal_lines(refusal: Any) -> list[str]:
     ]
     words = words or [", ".join(map(str, refusal.get("reasons") or ["the safety gate refused it"]))]
     seq = refusal.get("record")
-    more = "authguard explain" if seq is None else f"authguard explain {seq}"
+    more = f"authguard explain {'--refusal' if seq is None else seq}"
     head = f"last refusal, {_ago(refusal.get('ago_ms'))}: {what} ({more})"
     return [head, *(f"  {line}" for line in words)]
 
@@ -153,9 +153,10 @@ def _mission_lines(mission: Any) -> list[str]:
     return lines + [f"  open release {ticket}" for ticket in mission.get("open") or []]
 
 
-def _stand_lines(stands: Any) -> list[str]:
-    """Return that an operator's stop stands, and what ends it, for people."""
-    what = "AN OPERATOR'S STOP STANDS: authguard resume TOKEN ends it"
+def _stop_lines(stands: Any, mission: Any) -> list[str]:
+    """Return that an operator's stop is in force, and what ends it, for people."""
+    first = "" if isinstance(mission, dict) else "activate a mission, then: "
+    what = f"STOPPED BY AN OPERATOR; {first}authguard resume TOKEN ends the stop"
     return [what] if stands is True else []
 
 

@@ -63,10 +63,16 @@ def stop_command(
         return _stop_store(place, as_json=as_json)
     roles = [ClientRole(name) for name in (StoppingRole if role is None else (role,))]
     stop = StopEverywhere(_folder(gate), roles=roles, why=why, client=CLIENT)
+    told: set[str] = set()
     try:
-        reached = asyncio.run(stop.confirmed(lambda _: None if as_json else _tell(stop.answers)))
+        reached = asyncio.run(
+            stop.confirmed(lambda _: None if as_json else _tell(stop.answers, told))
+        )
     except KeyboardInterrupt:
         return _given_up(stop.answers, as_json=as_json)
+    except EnvironmentFault as error:
+        text = f"NOT STOPPED ({error.message}); use the robot's own emergency stop"
+        raise EnvironmentFault(text, reason=error.reason, where=error.where) from error
     said = {**msgspec.to_builtins(reached.answer), "role": str(reached.role)}
     said |= _silent(stop.answers)
     emit(said, _stop_lines(said), as_json=as_json)
@@ -81,10 +87,12 @@ def _folder(gate: Path | None) -> Path:
         return socket_in(gate, GATE_SOCKET).parent
 
 
-def _tell(answers: Answers) -> None:
-    """Say who has not answered, if the text can be printed: nothing prevents a stop."""
+def _tell(answers: Answers, told: set[str]) -> None:
+    """Say who has not answered, in full once; a text that cannot be printed prevents no stop."""
+    line = _waits(answers)
     with suppress(OSError, ValueError, AttributeError):
-        sys.stderr.write(_waits(answers))
+        sys.stderr.write(line if line not in told else "still not confirmed, trying again\n")
+        told.add(line)
         sys.stderr.flush()
 
 
@@ -107,8 +115,8 @@ def _follows(role: str) -> str:
         article = "an" if role[:1] in "aeiou" else "a"
         return f"recorded as {article} {role}'s stop"
     return (
-        "a mission that was active is suspended until `authguard resume`; "
-        "one that was closing is over"
+        "the active mission is suspended until `authguard resume`; a mission that was closing "
+        "has ended"
     )
 
 

@@ -117,7 +117,7 @@ def open_token(
     # (1) the certificates, (2) the signatures
     signer = verifier.verify(unb64(hashed), endorsements, now)
     if signer.role not in roles:
-        text = f"expected a signer in a role of {sorted(roles)}, got `{signer.role}`"
+        text = f"expected a signer in a role of {', '.join(sorted(roles))}, got `{signer.role}`"
         raise AuthenticityError(text, reason=Reason.ROLE_DENIED, where="token.endorsements")
     return decode(payload, kind, where=str(tag).split("/")[1]), hashed, signer
 

@@ -171,6 +171,8 @@ class ProgramCommand(TyperCommand):
         for name in ("trust", "key") if "key" in named else ():
             if of.get(name):
                 typer.echo(f"{name}: {ctx.params[name]} (from {of[name]})", err=True)
+        if "key" in named and ctx.params["key"] is None and not ctx.params.get("as_json"):
+            typer.echo("key: the one in the demonstration's trust folder", err=True)
         return rest
 
     def get_help(self, ctx: Any) -> str:

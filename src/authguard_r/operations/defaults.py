@@ -39,7 +39,7 @@ class Defaults(Struct, frozen=True, kw_only=True):
 def working_defaults() -> Defaults:
     """Return the defaults of this process's working folder; none where there is no such folder."""
     try:
-        return read_defaults(Path.cwd(), Path.home())
+        return read_defaults(Path.cwd(), Path.home().resolve())
     except (OSError, RuntimeError):
         return Defaults()
 
@@ -88,10 +88,10 @@ def _parsed(path: Path, data: bytes) -> Defaults:
     try:
         told = tomllib.loads(data.decode("utf-8"))
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        return _ignored(path, str(error))
+        return _ignored(path, f'{error}; each line is NAME = "VALUE", with the quotes')
     for name, value in told.items():
         if name not in NAMES:
-            return _ignored(path, f"`{name}` is none of {', '.join(NAMES)}")
+            return _ignored(path, f"unknown key `{name}`; allowed: {', '.join(NAMES)}")
         if not isinstance(value, str) or not value:
             return _ignored(path, f"`{name}`: expected a text in quotes")
     return Defaults(path=path, values={k: _absolute(path.parent, v) for k, v in told.items()})

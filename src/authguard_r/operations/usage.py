@@ -8,11 +8,14 @@ from __future__ import annotations
 
 from typer.exceptions import TyperException
 
+_NO_INTEGER = "Input should be a valid integer, unable to parse string as an integer"
+
 
 def message_of(error: TyperException) -> str:
     """Return what is wrong with the usage, on one line and without the parser's own words."""
     show = getattr(error, "format_message", error.__str__)
-    return " ".join(show().split()).replace(": Value error, ", ": ")
+    text = " ".join(show().split()).replace(": Value error, ", ": ")
+    return text.replace(_NO_INTEGER, "expected a whole number")
 
 
 def place_of(error: TyperException) -> str:

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import re
+from difflib import get_close_matches
 from typing import Annotated, Any
 
 import msgspec
@@ -24,6 +25,7 @@ _PLAIN_TYPES: dict[Any, Any] = {
 }
 _BOUNDS = ("ge", "gt", "le", "lt", "multiple_of", "pattern", "min_length", "max_length")
 _ENUM = "Invalid enum value "
+_UNKNOWN = re.compile(r"Object contains unknown field `(.*)`", re.DOTALL)
 
 
 def fault_of(data: object, kind: Any, error: msgspec.ValidationError) -> tuple[str, str]:
@@ -43,6 +45,8 @@ def fault_of(data: object, kind: Any, error: msgspec.ValidationError) -> tuple[s
         name, node, value = _entered(step, _member(node, value), value)
         names.append(name)
     found, node = "".join(names).removeprefix("."), _member(node, value)
+    if unknown := _UNKNOWN.fullmatch(text):
+        text = _unknown_field(unknown[1], node)
     if text.startswith(_ENUM) and isinstance(node, inspect.EnumType | inspect.LiteralType):
         allowed = node.values if isinstance(node, inspect.LiteralType) else [*node.cls]
         text = f"got {text.removeprefix(_ENUM)}, expected {listed(map(str, allowed))}"
@@ -50,6 +54,15 @@ def fault_of(data: object, kind: Any, error: msgspec.ValidationError) -> tuple[s
     if found == "schema" or (not found and "unknown field `schema`" in text):
         text = _named_kind(data) + text
     return text, found
+
+
+def _unknown_field(name: str, node: Any) -> str:
+    """Return what is wrong with a field that is not one, and which fields are allowed."""
+    known = [field.encode_name for field in getattr(node, "fields", ())]
+    close = get_close_matches(name, known, 1)
+    meant = f" (did you mean `{close[0]}`?)" if close else ""
+    allowed = f"; allowed: {', '.join(sorted(known))}" if known else ""
+    return f"object contains unknown field `{name}`{meant}{allowed}"
 
 
 def _named_kind(data: object) -> str:

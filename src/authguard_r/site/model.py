@@ -291,8 +291,9 @@ def facts_of(site: Site, *, rid: RobotId, profile: Digest) -> SiteFacts:
     robot = site.robots.get(rid)
     if robot is None or profile_digest(robot.profile) != profile:
         raise EnvironmentFault(
-            f"the site `{site.id}` has no robot `{rid}` with the profile of its certificate; "
-            "a robot whose profile changed needs a new certificate",
+            f"the site `{site.id}` has no robot `{rid}` with the profile of its certificate: a "
+            "robot whose profile changed needs a new certificate (authguard keys request), and "
+            "each mission is compiled and signed again (authguard mission compile)",
             reason=Reason.PROFILE_MISMATCH,
             where=f"robots.{rid}",
         )

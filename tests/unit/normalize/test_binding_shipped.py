@@ -184,7 +184,7 @@ def test_the_command_lists_and_shows_with_a_sample_for_each_way(
     assert rows["tools.do_vision_task"]["sample"] is None
     assert json.loads(rows["tools.walking"]["sample"])["arguments"] == {"distance": 1}
     _, out = run(capsys, "show", "unitree-go2")
-    assert "tools.avoid_obstacle: set_parameter never a planner's" in out
+    assert "tools.avoid_obstacle: set_parameter refused to every planner" in out
 
 
 def test_bad_input_is_an_error_with_a_place_and_no_traceback(tmp_path: Path) -> None:

@@ -39,7 +39,7 @@ def lint(mission: Mission, site: Site, measures: Measures = DEFAULT) -> tuple[Li
                 LintCode.SITE_DIFFERS,
                 "site" if mission.site != site_digest(site) else "profile",
                 "the mission was compiled for another site model or capability profile",
-                "compile the draft again for this site",
+                "authguard mission compile DRAFT --site SITE: compile the draft again, and sign it",
             ),
         )
     task = words_of(mission.task)

@@ -56,7 +56,7 @@ def _unguarded(mission: Mission, leaving: list[bool]) -> Iterator[LintFinding]:
             "`{variable: battery_permille, le: 200, max_age: 2 s}` (the battery is low)"
         )
         if grant.after:
-            message = f"only order holds `{grant.id}` back: {lack}"
+            message = f"only the order of grants delays `{grant.id}`: {lack}"
             yield warning(LintCode.UNGUARDED_RETURN, place, message, mend)
         else:
             message = f"`{grant.id}` may end the work at any time: {lack}"

@@ -107,7 +107,7 @@ def _may_answer(question: Question) -> Iterator[str]:
     if not question.roles:
         yield "  may answer: NO ONE: mission and organization name no role in common"
         return
-    places = f" and {', '.join(question.places)}" if question.places else ""
+    places = f" and {', '.join(dict.fromkeys(question.places))}" if question.places else ""
     yield f"  may answer: {', '.join(question.roles)}; not {question.issuer}, who signed it"
     yield f"    whose certificates name {question.rid}{places}"
 

@@ -81,10 +81,11 @@ class DraftDialog:
         Raises:
             MalformedError: with the field.
         """
+        asked = ", ".join(sorted(self._used))
         for field in self._settled:
             if field not in self._used and not self.questions:
                 raise MalformedError(
-                    "expected an answer to a question that was asked",
+                    f"no question has the field `{field}`; asked: {asked or 'nothing'}",
                     where=field,
                     reason=Reason.FIELD_UNKNOWN,
                 )

@@ -113,7 +113,8 @@ def activate(
     current = act.active()
     old = lapsed(act, act.standing(current) if current is not None else None, parts)
     if old is not None and old.status not in TERMINAL and current != mission.mid:
-        raise refuse(Reason.TRANSITION_REFUSED, f"`{current}` is active on this robot")
+        text = f"`{current}` is active on this robot: complete or revoke it first"
+        raise refuse(Reason.TRANSITION_REFUSED, text)
     known = act.standing(mission.mid)
     standing = _issued(act, offered, known, parts)
     active = advance(standing, Event.ACTIVATE)

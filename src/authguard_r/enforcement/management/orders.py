@@ -94,7 +94,7 @@ def _require_current(
     require_fresh(act, command)
     standing = registered(act, command.mid, command.mission)
     if standing is None:
-        raise refuse(Reason.MISSION_UNKNOWN, "no such mission version is here")
+        raise refuse(Reason.MISSION_UNKNOWN, "the gate does not have this mission version")
     if command.version != standing.version:
         text = f"expected {standing.version}, the version of `{command.mission}`, got "
         text += f"{command.version}: sign the order again"
@@ -140,7 +140,7 @@ def _carried_out(
 
 def _refusal(verb: Verb, standing: Standing) -> str:
     """Return why an order has no effect, and what would have: open releases are resolved first."""
-    told = f"the mission is {standing.status}: no {verb}"
+    told = f"the mission is {standing.status}, so `{verb}` has no effect"
     if verb is not Verb.RESUME or not standing.open:
         return told
     tickets = ", ".join(f"`{release.ticket}`" for release in standing.open[:_NAMED])
@@ -157,7 +157,7 @@ def choose(act: Transaction, token: bytes, *, parts: ManagementParts) -> Standin
     standing = act.standing(selection.mid)
     named = (selection.mission, selection.version)
     if standing is None or (standing.digest, standing.version) != named:
-        raise refuse(Reason.MISSION_UNKNOWN, "no such mission version is here")
+        raise refuse(Reason.MISSION_UNKNOWN, "the gate does not have this mission version")
     if standing.status in {*TERMINAL, Status.ISSUED}:
         raise replayed(standing)
     require_timely(act, selection, "selection")

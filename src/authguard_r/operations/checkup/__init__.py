@@ -302,7 +302,7 @@ def _run(setup: GateSetup) -> Iterator[Advice]:
         )
         return
     found = tuple(file_advice("run", setup.run, uid=setup.uid))
-    yield from found or [fine("run", AdviceCode.WRITABLE, "its user's alone to write", place=place)]
+    yield from found or [fine("run", AdviceCode.WRITABLE, "only its user can write", place=place)]
 
 
 def _store(setup: GateSetup, now: Now) -> Iterator[Advice]:

@@ -19,8 +19,8 @@ from authguard_r.wire.messages import ClientRole, Mode
 _APART = "give the planner a user of its own: authguard gate-config make"
 #: What a planner's user must never be as well, and what follows when it is.
 _NEVER: dict[ClientRole, str] = {
-    ClientRole.CONTROLLER: "a planner could drive the robot round the gate",
-    ClientRole.ESTIMATOR: "a planner could tell the gate what to believe",
+    ClientRole.CONTROLLER: "a planner could drive the robot without the gate",
+    ClientRole.ESTIMATOR: "a planner could send the gate a false state",
 }
 #: What a planner's user should not be as well; what is signed still holds.
 _BETTER_NOT: dict[ClientRole, str] = {
@@ -100,7 +100,7 @@ def _planner_advice(peer: Peer, who: str, place: str, *, uid: int | None) -> Ite
         message = f"{who} is planner and {role}: {why}"
         yield make("users", AdviceCode.SHARED_USER, message, place=place, mend=_APART)
     if peer.uid == uid:
-        message = f"{who} is planner and runs the gate: nothing is apart"
+        message = f"{who} is planner and runs the gate: roles are not separated"
         yield unsafe("users", AdviceCode.SHARED_USER, message, place=place, mend=_APART)
 
 
