@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from authguard_r.cli.app import AUTHGUARD
-from authguard_r.operations.defaults import FILE, MAX_BYTES, NAMES, read_defaults
+from authguard_r.operations.defaults import FILE, MAX_BYTES, NAMES, read_defaults, working_defaults
 from fixtures import scenarios
 from fixtures.commands import ended
 
@@ -60,6 +60,18 @@ def test_outside_of_home_no_folder_around_it_is_looked_at(home: Path) -> None:
     assert read_defaults(elsewhere, home).path is None
     path = write(elsewhere.parent)
     assert read_defaults(elsewhere, home).path == path
+
+
+def test_a_home_folder_behind_a_link_bounds_the_search_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    work = tmp_path / "real" / "ana" / "work"
+    work.mkdir(parents=True)
+    write(tmp_path / "real")
+    (tmp_path / "link").symlink_to(tmp_path / "real")
+    monkeypatch.setenv("HOME", str(tmp_path / "link" / "ana"))
+    monkeypatch.chdir(work)
+    assert working_defaults().path is None
 
 
 @pytest.mark.parametrize("mode", [0o620, 0o602, 0o666])

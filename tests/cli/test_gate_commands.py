@@ -237,7 +237,10 @@ def test_status_says_in_words_what_a_mission_is_worth_and_what_stands() -> None:
     plain = status_lines({"mission": {**mission, "void": None}, "stop_stands": False})
     assert not any("AUTHORIZES" in line or "STOPPED BY" in line for line in plain)
     (stop,) = [line for line in status_lines({"stop_stands": True}) if "STOPPED BY" in line]
-    assert "authguard resume" in stop
+    assert "activate a mission, then: authguard resume TOKEN" in stop
+    standing = {"stop_stands": True, "mission": {"mid": "first"}}
+    (stop,) = [line for line in status_lines(standing) if "STOPPED BY" in line]
+    assert "OPERATOR; authguard resume TOKEN ends the stop" in stop
     policy = {"policy": "courier", "version": 2, "expiry": "2027-01-01T00:00:00Z"}
     quiet = status_lines({"emergency": {**policy, "under_way": None, "unknown": []}})
     assert "emergency policy: courier version 2, until 2027-01-01T00:00:00Z" in quiet
@@ -370,6 +373,19 @@ def test_an_event_of_any_shape_is_a_line() -> None:
     ended = {"event": "outcome", "execution": {"outcome": "succeeded"}}
     assert "-> succeeded" in event_line(ended)
     assert picture(STATUS, ["x"])[-2:] == ["", "x"]
+
+
+def test_orders_and_requests_are_events_in_words() -> None:
+    order = {"event": "management", "act": "command", "by": "u0.cli"}
+    after = {"mid": "deliver-p1", "version": 1, "status": "revoked"}
+    line = event_line({**order, **after})
+    assert line.endswith("command by u0.cli: mission deliver-p1 version 1 is revoked")
+    assert event_line(order).endswith("command by u0.cli")
+    asked = {"event": "approval", "mid": "deliver-p1", "counter": 1}
+    line = event_line({**asked, "what": "asked", "required": 2})
+    assert line.endswith("request 1 of mission deliver-p1: asked, needs 2 people")
+    line = event_line({**asked, "what": "answered", "by": "operator-1", "why_not": "ROLE_DENIED"})
+    assert line.endswith("answered, by operator-1, does not count: ROLE_DENIED")
 
 
 @pytest.fixture

@@ -677,3 +677,20 @@ def test_an_unsigned_change_is_refused_and_the_same_change_signed_is_accepted(
     assert f"version 2, supersedes {first['mission'][:12]}..." in shown
     code, whole = shell.json("audit", "verify", "r.db")
     assert (code, whole["whole"]) == (0, True)
+
+
+def test_a_mission_file_of_another_kind_is_named_with_the_next_command(shell: Shell) -> None:
+    draft, made = "h/mission.yaml", compiled(shell)
+    for words, said in (
+        (
+            ("review", draft),
+            f"a draft, expected a compiled mission; next: authguard mission compile {draft}",
+        ),
+        (("check", "h/site.yaml"), "a site file, expected a compiled mission"),
+        (("compile", made), "a compiled mission, expected a draft"),
+    ):
+        code, text = shell("mission", *words, *SITE)
+        assert (code, f"this file is {said}" in text) == (4, True), text
+    code, text = shell("mission", "verify", made, "--trust", "trust")
+    wanted = f"a compiled mission, expected a signed mission; next: authguard mission sign {made}"
+    assert (code, wanted in text) == (4, True), text

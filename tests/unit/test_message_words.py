@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import ast
 import re
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -36,6 +37,13 @@ def texts(path: Path) -> Iterator[tuple[str, str]]:
                 yield f"{path.relative_to(ROOT)}:{node.lineno}", text
 
 
+def remedies() -> list[tuple[str, str]]:
+    """Return what `explain` tells people to do."""
+    path = ROOT / "src" / "authguard_r" / "server" / "remediation.toml"
+    found = tomllib.loads(path.read_text(encoding="utf-8"))
+    return [(path.name, one["do"]) for part in ("answers", "emergency") for one in found[part]]
+
+
 def every_text() -> list[tuple[str, str]]:
     """Return every text that a person can get to see."""
     modules = (path for root in SOURCES for path in sorted(root.rglob("*.py")))
@@ -50,6 +58,7 @@ def every_text() -> list[tuple[str, str]]:
 def test_no_message_has_a_word_that_a_reader_cannot_look_up() -> None:
     found = every_text()
     assert len(found) > 4_500
+    found += remedies()
     assert [(place, text) for place, text in found if FORBIDDEN.search(text)] == []
 
 

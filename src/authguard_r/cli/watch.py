@@ -152,7 +152,7 @@ def event_line(event: dict[str, Any]) -> str:
     at = event.get("time_ms")
     when = to_timestamp(at) if isinstance(at, int) and 0 <= at < _LAST_MS else "-"
     name = str(event.get("event"))
-    told = _report(event) if name in {"decision", "outcome"} else _rest(event)
+    told = _WORDS.get(name, _rest)(event)
     told = f"{told}: the gate has ended" if name == ENDED else told
     return f"{when} {name:10} {told}".rstrip()
 
@@ -175,10 +175,37 @@ def _report(event: dict[str, Any]) -> str:
     return " ".join(str(part) for part in parts if part)
 
 
+def _request(event: dict[str, Any]) -> str:
+    """Return what happened to an approval request, and who did it."""
+    said = f"request {event.get('counter')} of mission {event.get('mid')}: {event.get('what')}"
+    parts = [said]
+    parts += [f"by {event['by']}"] if event.get("by") else []
+    parts += [f"needs {event['required']} people"] if event.get("required") else []
+    parts += [f"does not count: {event['why_not']}"] if event.get("why_not") else []
+    return ", ".join(parts)
+
+
+def _management(event: dict[str, Any]) -> str:
+    """Return an order, who handed it in, and how its mission stands after it."""
+    said = f"{event.get('act')} by {event.get('by')}"
+    if "status" not in event:
+        return said
+    return f"{said}: mission {event.get('mid')} version {event.get('version')} is {event['status']}"
+
+
 def _rest(event: dict[str, Any]) -> str:
     return " ".join(
         f"{name}={value}" for name, value in event.items() if name not in {"event", "time_ms"}
     )
+
+
+#: Events that have words of their own.
+_WORDS: dict[str, Callable[[dict[str, Any]], str]] = {
+    "approval": _request,
+    "decision": _report,
+    "management": _management,
+    "outcome": _report,
+}
 
 
 def _print_json(event: dict[str, Any]) -> None:

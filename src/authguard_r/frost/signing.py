@@ -188,7 +188,7 @@ def aggregate(session: SigningSession, shares: tuple[SignatureShare, ...]) -> by
         missing = sorted(set(session.signers) - {item.identifier for item in shares})
         names = ", ".join(f"`{member(session.group, place)}`" for place in missing)
         raise MalformedError(
-            f"expected one share of each who committed; missing: {names or 'nobody'}",
+            f"expected one share of each who committed; missing: {names or 'none'}",
             where="signature shares",
         )
     signature = session.commitment + total(scalar(item.share) for item in shares)

@@ -220,7 +220,9 @@ class Dispatcher:
             answer: dict[str, Any] = self._questions.answered(done)
         else:
             answer = {_NAMED.get(type(done), "standing"): msgspec.to_builtins(done)}
-        self._publish({"event": "management", "act": order.act, "by": client.name})
+        standing = answer.get("standing", {})
+        after = {name: standing[name] for name in ("mid", "version", "status") if name in standing}
+        self._publish({"event": "management", "act": order.act, "by": client.name, **after})
         client.reply(number, answer)
 
     def _evaluate(self, client: ServedClient, number: int, asked: Evaluate) -> None:

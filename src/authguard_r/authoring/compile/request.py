@@ -55,7 +55,7 @@ def brief(question: Question, opened: ShownRequest, site: Site | None = None) ->
         f"      {_mission(question)}, risk {question.risk} ({_tier(opened)})",
         f"      {_head(question)}",
         *(f"      {_answer(answer)}" for answer in question.answers),
-        f"      may answer: {', '.join(question.roles) or 'NOBODY'}; not {question.issuer}",
+        f"      may answer: {', '.join(question.roles) or 'NO ONE'}; not {question.issuer}",
     ]
 
 

@@ -302,7 +302,7 @@ def _writing(
     """Yield topics that an enclave may write and must not."""
     for topic, allowed in sorted(topics.items()):
         if name not in allowed and any(grant.may(RightKind.WRITE, topic) for grant in grants):
-            who = ", ".join(sorted(allowed)) or "nobody"
+            who = ", ".join(sorted(allowed)) or "no process"
             message = f"it may write `{topic}`, which {does}; expected {who} alone"
             yield KeystoreFault(code=code, where=name, message=message)
 
