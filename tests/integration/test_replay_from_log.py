@@ -201,7 +201,7 @@ def test_without_a_trust_folder_tokens_are_only_read_and_the_answer_says_so(
     assert call(["audit", "replay", str(store)]) == 0
     text = capsys.readouterr().out
     assert "replayed: 6 decisions, 6 agree, 0 differ, 0 not replayable\n" in text
-    assert "held to no signature: name --trust" in text
+    assert "no signature was verified: name --trust" in text
 
 
 def test_what_stands_before_the_first_record_asked_for_is_read_and_not_counted() -> None:

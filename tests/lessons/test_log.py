@@ -88,7 +88,7 @@ def test_l8_verify_never_says_of_a_shortened_log_that_nothing_is_missing(session
         code, told, text = session.verify(session.log.rows[:size])
         assert (code, told["anchored"]) == (int(size < session.log.size), "unanchored")
         assert ("the log is cut off" in text) is (size < session.log.size)
-    # with the key of the log alone the file's own checkpoint shows it
+    # with the key of the log alone the checkpoint lies where the log lies checkpoint shows it
     key = ("--key", session.log.keys[0].text())
     assert session.verify(session.log.rows[:-1], *key)[0] == 1
     code, _, text = session.verify(session.log.rows, *key)

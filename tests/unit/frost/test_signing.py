@@ -123,7 +123,7 @@ def test_parts_are_one_of_each_who_committed() -> None:
         signing.aggregate(session, (first,))
     with pytest.raises(MalformedError, match="missing: `member-2`"):
         signing.aggregate(session, (first, first))
-    with pytest.raises(MalformedError, match="missing: nobody"):
+    with pytest.raises(MalformedError, match="missing: none"):
         signing.aggregate(session, (first, second, second))
 
 
