@@ -6,6 +6,7 @@ from __future__ import annotations
 import io
 import json
 import stat
+import subprocess
 import sys
 from base64 import b64encode
 from datetime import UTC, datetime
@@ -519,15 +520,26 @@ def test_every_file_can_be_looked_at_and_no_secret_is_shown(desk: Desk) -> None:
     assert "MALFORMED" in desk.refused("advanced", "frost", "show", "noise", code=4)
 
 
-def test_without_the_extra_the_commands_say_what_to_install(
-    desk: Desk, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("missing", "words", "extra"),
+    [
+        ("nacl", "advanced frost show x", "frost"),
+        ("starlette", "serve --openapi", "http"),
+        ("mcp", "mcp --robot courier-1 --gate g --trust t --site s --binding b cat", "mcp"),
+    ],
+)
+def test_without_the_extra_a_command_says_what_to_install(
+    missing: str, words: str, extra: str
 ) -> None:
-    for name in [*sys.modules]:  # loaded again, as in a process without the package
-        if name.split(".")[0] == "nacl" or "frost" in name:
-            monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "nacl", None)
-    said = desk.refused("advanced", "frost", "show", "x", code=5)
-    assert "this command needs `nacl`: pip install 'authguard-r[frost]'" in said
+    program = (
+        "import sys; from authguard_r.cli import call; "
+        f"sys.modules[{missing!r}] = None; sys.exit(call({words.split()!r}))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False
+    )
+    said = f"SETUP_INVALID: this command needs `{missing}`: pip install 'authguard-r[{extra}]'"
+    assert (done.returncode, done.stderr.startswith(said)) == (5, True), done.stderr
 
 
 def test_a_store_needs_trust_and_site(desk: Desk) -> None:

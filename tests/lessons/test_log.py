@@ -88,11 +88,11 @@ def test_l8_verify_never_says_of_a_shortened_log_that_nothing_is_missing(session
         code, told, text = session.verify(session.log.rows[:size])
         assert (code, told["anchored"]) == (int(size < session.log.size), "unanchored")
         assert ("the log is cut off" in text) is (size < session.log.size)
-    # with the key of the log alone the checkpoint lies where the log lies checkpoint shows it
+    # with the key of the log alone the file's own checkpoint shows it
     key = ("--key", session.log.keys[0].text())
     assert session.verify(session.log.rows[:-1], *key)[0] == 1
     code, _, text = session.verify(session.log.rows, *key)
-    assert (code, "what was after it may be gone" in text) == (0, True)
+    assert (code, "records after it may be missing" in text) == (0, True)
 
 
 #: What goes wrong on the way to the controller, what is recorded of it, and with which reason.
