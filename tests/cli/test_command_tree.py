@@ -141,3 +141,10 @@ def test_a_command_line_imports_its_own_command_alone() -> None:
         loaded = {name.rpartition(".")[2] for name in found} & commands
         assert own <= loaded <= own | {"mission", "sign", "operate"}
         assert has_parser == "False"
+
+
+def test_a_missing_option_names_every_other_that_is_missing() -> None:
+    line = ("run", "--token", "x", "--site=s")
+    assert ended(*line).err.startswith("USAGE: Missing option '--trust'")
+    assert "Also missing: --binding, --plan" in ended(*line).err
+    assert "Also" not in ended(*line, "--trust", "t", "--binding", "b").err

@@ -694,3 +694,12 @@ def test_a_mission_file_of_another_kind_is_named_with_the_next_command(shell: Sh
     code, text = shell("mission", "verify", made, "--trust", "trust")
     wanted = f"a compiled mission, expected a signed mission; next: authguard mission sign {made}"
     assert (code, wanted in text) == (4, True), text
+
+
+def test_a_name_that_is_no_id_says_what_an_id_is(shell: Shell) -> None:
+    text = Path("h/mission.yaml").read_text()
+    assert "issuer: operator-1" in text
+    Path("b.yaml").write_text(text.replace("issuer: operator-1", 'issuer: "Bad Name!"'))
+    code, said = shell("mission", "compile", "b.yaml", *SITE)
+    assert (code, "expected an id of at most 64 characters of a-z, 0-9" in said) == (4, True)
+    assert "(at draft:issuer)" in said

@@ -182,7 +182,7 @@ def test_check_names_every_schema_fault_at_once_with_the_allowed_values(shell: S
     code, answer = shell.json("site", "check", "bad.yaml")
     assert code == 4
     assert [(fault["where"], fault["message"]) for fault in answer["faults"]] == [
-        ("regions.public-corridor.approach[1]", "expected `int`, got `str`"),
+        ("regions.public-corridor.approach[1]", "expected a whole number, got text"),
         (
             "regions.station-101",
             (
@@ -190,7 +190,8 @@ def test_check_names_every_schema_fault_at_once_with_the_allowed_values(shell: S
                 "approach, floor, map, names, points, tags, within"
             ),
         ),
-        ("vocabulary.pick.physical", "expected `int`, got `str`"),
+        ("regions.station-101", "object missing required field `map`"),
+        ("vocabulary.pick.physical", "expected a whole number, got text"),
     ]
     assert answer["error"]["where"] == "bad.yaml:regions.public-corridor.approach[1]"
     code, answer = shell.json("site", "check", "h/binding.yaml")

@@ -43,7 +43,8 @@ from authguard_r.site.model import (
 from authguard_r.site.names import shown
 from authguard_r.site.places import adjacent
 from authguard_r.site.signed import is_token, read_signed_site, sign_site
-from authguard_r.site.source import as_text, convert, schema_faults
+from authguard_r.site.source import as_text, convert
+from authguard_r.site.text_faults import text_faults
 from authguard_r.wire.output import emit
 
 SiteArgument = Annotated[Path, typer.Argument(help="The site model (YAML, or a signed token).")]
@@ -60,7 +61,7 @@ FloorOption = Annotated[int, typer.Option("--floor", help="The floor.")]
 def check_command(site: SiteArgument, as_json: JsonFlag = False) -> int:
     """Check a site model and print every fault with its place."""
     data = read_file(site)
-    found = () if is_token(data) else schema_faults(as_text(data, where=str(site)), where=str(site))
+    found = () if is_token(data) else text_faults(as_text(data, where=str(site)), where=str(site))
     if found:
         where = f"{site}:{found[0].where}"
         first = {"code": "MALFORMED", "message": found[0].message, "where": where}

@@ -6,6 +6,7 @@ Spec page: docs/reference/cli.md
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from collections.abc import Iterator, Mapping
@@ -15,6 +16,7 @@ from typing import Annotated, Any, NamedTuple
 
 import typer
 from typer.core import TyperCommand, TyperGroup
+from typer.exceptions import TyperException
 
 from authguard_r.wire.output import shows_color
 
@@ -156,14 +158,14 @@ class ProgramCommand(TyperCommand):
         print_help(ctx, args)
         named = {str(p.name): _default_name(p) for p in self.params if _default_name(p)}
         if not named or ctx.resilient_parsing:
-            return super().parse_args(ctx, args)
+            return self._parsed(ctx, args)
         from authguard_r.operations.defaults import working_defaults
 
         found = working_defaults()
         if found.ignored:
             typer.echo(found.ignored, err=True)
         ctx.default_map = {k: found.values[v] for k, v in named.items() if v in found.values}
-        rest = super().parse_args(ctx, args)
+        rest = self._parsed(ctx, args)
         origin = {"ENVIRONMENT": "the environment", "DEFAULT_MAP": str(found.path)}
         of = {name: origin.get(ctx.get_parameter_source(name).name, "") for name in named}
         if ctx.params.get("store") is not None and of.get("gate"):
@@ -175,9 +177,35 @@ class ProgramCommand(TyperCommand):
             typer.echo("key: the one in the demonstration's trust folder", err=True)
         return rest
 
+    def _parsed(self, ctx: Any, args: list[str]) -> list[str]:
+        """Return the arguments; one that is missing names the others that are.
+
+        Raises:
+            TyperException: wrong usage.
+        """
+        given = list(args)
+        try:
+            return super().parse_args(ctx, args)
+        except TyperException as error:
+            first = getattr(error, "param", None)
+            if type(error).__name__ == "MissingParameter" and first is not None:
+                more = [p.opts[0] for p in self.params if _is_missing(p, ctx, given)]
+                others = ", ".join(name for name in more if name not in first.opts)
+                error.message = f"Also missing: {others}" if others else ""
+            raise
+
     def get_help(self, ctx: Any) -> str:
         """Return the help, with colors on a terminal."""
         return colored(super().get_help(ctx))
+
+
+def _is_missing(option: Any, ctx: Any, args: list[str]) -> bool:
+    """Return whether a required option is neither in the arguments nor has a default."""
+    if not option.required or not option.opts[0].startswith("-"):
+        return False
+    named = {argument.partition("=")[0] for argument in args}
+    default = (ctx.default_map or {}).get(option.name)
+    return named.isdisjoint(option.opts) and not default and not os.environ.get(option.envvar or "")
 
 
 def with_new_names(program: Program, arguments: list[str]) -> tuple[list[str], list[str]]:

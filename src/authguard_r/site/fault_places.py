@@ -25,6 +25,19 @@ _PLAIN_TYPES: dict[Any, Any] = {
 }
 _BOUNDS = ("ge", "gt", "le", "lt", "multiple_of", "pattern", "min_length", "max_length")
 _ENUM = "Invalid enum value "
+_TYPES = re.compile(r"([Ee]xpected|got) `(array|bool|float|int|null|object|str)`")
+#: What is in the pattern of an id, as the message shows it.
+_ID = "[a-z0-9][a-z0-9_.:-]{0,63}"
+#: What an author calls each type.
+_TYPE_NAMES = {
+    "array": "a list",
+    "bool": "true or false",
+    "float": "a number with a point",
+    "int": "a whole number",
+    "null": "nothing",
+    "object": "a mapping",
+    "str": "text",
+}
 _UNKNOWN = re.compile(r"Object contains unknown field `(.*)`", re.DOTALL)
 
 
@@ -45,6 +58,9 @@ def fault_of(data: object, kind: Any, error: msgspec.ValidationError) -> tuple[s
         name, node, value = _entered(step, _member(node, value), value)
         names.append(name)
     found, node = "".join(names).removeprefix("."), _member(node, value)
+    text = _TYPES.sub(lambda m: f"{m[1]} {_TYPE_NAMES.get(m[2], m[0])}", text)
+    if _ID in text:
+        text = "expected an id of at most 64 characters of a-z, 0-9 and `_.:-`"
     if unknown := _UNKNOWN.fullmatch(text):
         text = _unknown_field(unknown[1], node)
     if text.startswith(_ENUM) and isinstance(node, inspect.EnumType | inspect.LiteralType):

@@ -6,12 +6,11 @@ How-to: docs/howto/site.md
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.identifiers import is_identifier
-from authguard_r.site.check import SiteFault, faults
+from authguard_r.site.check import faults
 from authguard_r.site.model import Site
 from authguard_r.site.names import shown
 from authguard_r.site.sources import require_source_words
@@ -42,52 +41,15 @@ def parse_site(text: str, *, where: str) -> Site:
     Raises:
         MalformedError: not a site model, or `words` that the standard vocabulary does not have.
     """
-    return _site_of(with_words(read_yaml(text, where=where), where=where), where=where)
+    return site_of(with_words(read_yaml(text, where=where), where=where), where=where)
 
 
-def schema_faults(text: str, *, where: str) -> tuple[SiteFault, ...]:
-    """Return the schema faults of a YAML text, at most one for each entry; none: it has none.
-
-    Args:
-        text: what an author wrote.
-        where: the file's name, for places in messages.
+def site_of(data: object, *, where: str) -> Site:
+    """Return plain data as a site model, sound or not.
 
     Raises:
-        MalformedError: not YAML, or a fault outside of entries: nothing else can be looked at.
+        MalformedError: not a site model; says the first fault alone.
     """
-    data = with_words(read_yaml(text, where=where), where=where)
-    found: list[SiteFault] = []
-    while True:
-        try:
-            _site_of(data, where=where)
-        except MalformedError as error:
-            place = error.where.removeprefix(f"{where}:")
-            if not _without(data, place):
-                raise
-            found.append(SiteFault(place, error.message))
-        else:
-            return tuple(found)
-
-
-def _without(data: object, place: str) -> bool:
-    """Remove the entry of a group that a place is in; return whether there was one."""
-    group = re.match(r"\w+", place)
-    if group is None or not isinstance(data, dict):
-        return False
-    entries, rest = data.get(group[0]), place[group.end() :]
-    number = re.match(r"\[(\d+)\]", rest)
-    if isinstance(entries, list) and number is not None:
-        del entries[int(number[1])]
-        return True
-    names = entries if isinstance(entries, dict) else {}
-    inside = [n for n in names if re.match(rf"\.{re.escape(str(n))}(?=$|[.\[])", rest)]
-    for name in sorted(inside, key=len)[-1:]:
-        del names[name]
-    return bool(inside)
-
-
-def _site_of(data: object, *, where: str) -> Site:
-    """Return plain data as a site model, sound or not."""
     for group in _GROUPS:
         _require_ids(data, group, where=where)
     if isinstance(data, dict) and "sources" in data:

@@ -37,7 +37,7 @@ def already_there(item: object, source: object, destination: object) -> str:
     """Return what to say of a motion to the place where the robot is; empty for every other action.
 
     Args:
-        item: the object of the action; one that handles something does more than go there.
+        item: the object of the action; None for a motion that handles no object.
         source: of the action, as it was attested.
         destination: of the action.
     """
