@@ -118,7 +118,7 @@ def with_value(entry: Entry, name: str, value: Any) -> Entry:
     ("name", "value", "why"),
     [
         ("action", None, "`action` is not there"),
-        ("action", "go", "object"),
+        ("action", "go", "a mapping"),
         ("action", {"type": "navigate", "tool": "base", "extra": 1}, "extra"),
         ("action", {"type": "fly", "tool": "base"}, "granted"),
         ("action", {"type": "set_pose", "tool": "base"}, "granted"),
