@@ -300,7 +300,7 @@ def test_an_approval_behind_a_denial_is_told_that_it_moves_nothing(
     assert told["why_not"] == "APPROVAL_DENIED"
     assert call(list(yes)) == 1
     said = capsys.readouterr().out
-    assert "somebody denied: the request is closed" in said
+    assert "another approver denied: the request is closed" in said
     assert "people are behind it" not in said
     assert call(["approvals", "list", *at]) == 3
     listed = capsys.readouterr().out

@@ -398,7 +398,7 @@ def refused(shell: Terminal) -> None:
     until(lambda: clients in shell("metrics --gate run"), "the watcher")
     (step,) = shell.ask("run", "real", FORBIDDEN)
     assert (step["reasons"], step["executed"]) == (["STATE_WRITING_REFUSED"], False)
-    assert "to do: say in the binding what it means" in shell("explain --gate run")
+    assert "say in the binding what it means" in shell("explain --gate run")
     (step,) = shell.ask("run", "real", TOO_FAST)
     assert (step["outcome"], step["executed"]) == ("reject", False)
     assert "PARAMETER_OUT_OF_BOUNDS" in step["reasons"]

@@ -1058,7 +1058,7 @@ def called(words: list[str]) -> tuple[int, str]:
 
 def test_a_tool_that_only_changes_what_the_robot_believes_is_hidden() -> None:
     told = fate("relocalize", scenarios.binding(), scenarios.site())
-    assert told.startswith("hidden: it changes")
+    assert told.startswith("hidden: it writes the robot's state")
 
 
 def test_in_shadow_mode_a_server_that_dies_is_told_as_it_is(tmp_path: Path) -> None:

@@ -251,10 +251,12 @@ def test_a_person_is_told_that_the_robot_does_not_say_that_it_stands_and_then_th
             env=environment(measured=False),
         )
         assert hand.stderr is not None
-        line = next(text for text in hand.stderr if "the gate: it told the controller" in text)
+        line = next(
+            text for text in hand.stderr if "the gate: it sent the stop to the controller" in text
+        )
         os.kill(yard.gate._started["robot"].pid, signal.SIGCONT)
         out, _ = hand.communicate(timeout=60)
-    assert "which does not say that the robot stands" in line
+    assert "did not confirm that the robot stands" in line
     assert hand.returncode == 0
     after_ms = int(out.partition("stands after ")[2].split()[0])
     assert 1_000 <= after_ms <= now_ms() - begun_ms  # since the person asked
