@@ -397,7 +397,7 @@ def test_a_node_whose_own_thread_ends_is_over_with_everything_that_it_serves(
     )
     graph.planner("odd").call(SetParameters, f"{NODE}/set_parameters", request)
     assert graph.ended() == 1
-    assert "does not spin" in graph.said()
+    assert "has stopped spinning" in graph.said()
     assert "Traceback" not in graph.said()
     assert graph.robot.arm.canceled == [True]
 

@@ -731,7 +731,7 @@ def test_a_node_that_does_not_spin_any_more_ends_the_process() -> None:
                 spinner.run(stuck)
                 await raised(failed)
 
-    with pytest.raises(EnvironmentFault, match="does not spin any more: RuntimeError: stuck"):
+    with pytest.raises(EnvironmentFault, match="has stopped spinning: RuntimeError: stuck"):
         asyncio.run(fails())
 
 
