@@ -150,7 +150,7 @@ async def attest(place: EstimatorTarget, log: ProcessLog, until: asyncio.Event) 
     """Attest the robot's place until the event is set.
 
     Raises:
-        EnvironmentFault: a type is not installed, or the node does not spin any more.
+        EnvironmentFault: a type is not installed, or the node has stopped spinning.
     """
     robot, position = place.ros.robot, place.position
     name = ESTIMATOR_NODE.removeprefix("/")
