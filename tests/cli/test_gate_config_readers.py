@@ -93,9 +93,9 @@ def test_readers_and_how_long_are_written_signed_and_read_by_a_gate(shell: Shell
     for line in (
         f"  reader porter: region, with the key {porter.name}\n",
         f"  reader auditor: {', '.join(EVERY)}, with the key {auditor.name}\n",
-        "  object: kept 1 d at least, destroyed by order alone\n",
-        "  person: kept 0 d at least, destroyed after 36 h\n",
-        "  region: kept 1 d at least, destroyed after 90 d\n",
+        "  object: stored for at least 1 d, destroyed by order alone\n",
+        "  person: stored for at least 0 d, destroyed after 36 h\n",
+        "  region: stored for at least 1 d, destroyed after 90 d\n",
     ):
         assert line in card
     code, told = shell.json("gate-config", "show", "gate.token", "--trust", "trust")

@@ -172,7 +172,7 @@ def test_the_card_names_the_organization_and_asks_whom_the_stricter_asks(shell: 
         asked.format(10),
     ]
     start = card["card"].index(
-        "The risk policy of hospital, version 7: each grant asks whom the stricter of both asks"
+        "The risk policy of hospital, version 7: each grant needs the approvals of the stricter one"
     )
     assert card["card"][start + 1 : start + 3] == [
         (

@@ -574,7 +574,7 @@ def test_in_shadow_mode_calls_go_as_they_went_and_the_gate_says_what_it_would_do
 def test_in_shadow_mode_what_cannot_be_noted_is_not_handed_out(tmp_path: Path) -> None:
     with courier(tmp_path, mode=Mode.SHADOW) as robot, robot.connect(shadow=True) as guard:
         guard.register("scan", robot.gate.kill9)
-        with pytest.raises(Failed, match="could not be noted"):
+        with pytest.raises(Failed, match="could not be recorded"):
             guard.call("scan", {})
 
 

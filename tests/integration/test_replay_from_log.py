@@ -219,7 +219,7 @@ def test_who_answered_only_a_trust_folder_says(bench: Bench) -> None:
     _, rows = approved(bench)
     found = again(rows)
     assert (found.agree, found.differ, found.not_replayable) == (1, 0, 1)
-    assert list(found.left) == ["who answered, only --trust says"]
+    assert list(found.left) == ["give --trust to name the person who answered"]
 
 
 def test_an_approver_who_was_revoked_later_did_answer_then(bench: Bench, tmp_path: Path) -> None:

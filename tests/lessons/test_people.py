@@ -86,7 +86,7 @@ def test_l20_what_is_shown_is_what_is_signed(bench: Bench) -> None:
     opened = open_approval(order.token, verifier=read_trust(bench.folder), now=now).approval
     assert (opened.scope, opened.situation) == (question.scope, question.situation)
     bytes_ = (question.scope_bytes or b"").replace(b"isolation-room", b"pharmacy")
-    with pytest.raises(AuthenticityError, match="not what would be signed"):
+    with pytest.raises(AuthenticityError, match="differs from the bytes to sign"):
         shown(msgspec.structs.replace(question, scope_bytes=bytes_))
 
 

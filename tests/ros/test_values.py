@@ -154,7 +154,7 @@ def test_l3_a_wide_string_is_nothing_that_a_planner_sends(kind: Any, part: TypeP
     """Units that are no character end the thread that takes them, before anybody could refuse."""
     with pytest.raises(MalformedError, match="wstring"):
         require_narrow(kind, part, where="mediated.it.type")
-    answers = SimpleNamespace(Request=msg.Empty, Response=msg.WStrings)  # the robot's own word
+    answers = SimpleNamespace(Request=msg.Empty, Response=msg.WStrings)  # the robot's own report
     for narrow, of in (
         (msg.MultiNested, TypePart.MESSAGE),
         (Fibonacci, TypePart.ACTION),

@@ -59,7 +59,7 @@ def peer_of(sock: Socket) -> PeerCredentials:
     try:
         data = sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _UCRED.size)
     except OSError as error:
-        raise _denied(f"the kernel does not say who is there: {error.strerror}") from error
+        raise _denied(f"the kernel does not name the peer: {error.strerror}") from error
     pid, uid, gid = _UCRED.unpack(data)
     if uid == _NO_USER:
         raise _denied("the kernel names no peer process")

@@ -240,7 +240,7 @@ def _opened(
             unb64(box.nonce, where=where), unb64(box.text, where=where), encode_fast(place)
         )
     except (InvalidTag, ValueError) as error:
-        raise MalformedError("the box is not what was sealed here", where=where) from error
+        raise MalformedError("the box was not sealed for this place", where=where) from error
     found = read_sealed(text, where=where)
     for field, one in found.items():
         if record.committed.get(field) != commit(field, one):

@@ -420,7 +420,7 @@ class _Chain:
         # a line for each; canonical bytes hold no line break
         tails = _LINES.encode_lines([*read.values()])[1:-1].split(b"\n{") if names else []
         if not named.canonical or named.around % tuple(tails) != sealed:
-            raise MalformedError("the bytes are not the canonical encoding of what they say")
+            raise MalformedError("the bytes are not the canonical encoding of their content")
         return named, tails
 
 

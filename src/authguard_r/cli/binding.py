@@ -44,7 +44,7 @@ def check_command(
         list[str] | None,
         typer.Option(
             "--interface",
-            help="What the tools say of themselves: a file, a folder of ROS definitions, or a "
+            help="The tools' own description: a file, a folder of ROS definitions, or a "
             "shipped binding's name. A shipped binding is compared with its own without it.",
         ),
     ] = None,

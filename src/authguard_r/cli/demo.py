@@ -226,7 +226,7 @@ def _audit_lines(verified: Verification, stage: _Stage) -> list[str]:
     state = "whole" if verified.whole else f"NOT WHOLE: {verified.fault}"
     return [
         f"  the log: {verified.size} records, {state}, anchored: {verified.anchored}",
-        f"  kept in {stage.folder} (authguard audit show {stage.folder / 'robot.db'})",
+        f"  stored in {stage.folder} (authguard audit show {stage.folder / 'robot.db'})",
     ]
 
 

@@ -266,7 +266,7 @@ def read_form(form: GateConfigForm, *, where: str) -> GateConfig:
         raise MalformedError(f"user {twice[0]} comes twice", where=f"{where}:peers")
     mediating = {user_number(who, where=f"{where}:mediators") for who in form.mediators}
     if stray := mediating - set(numbers.values()):
-        raise MalformedError(f"user {min(stray)} is none of `peers`", where=f"{where}:mediators")
+        raise MalformedError(f"user {min(stray)} is not in `peers`", where=f"{where}:mediators")
     peers = tuple(
         Peer(
             uid=uid,

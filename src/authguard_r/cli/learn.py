@@ -29,8 +29,8 @@ _SQLITE = b"SQLite format 3\x00"
 #: How many reasons for leaving records out are printed; `--json` has every one.
 _SHOWN = 10
 WARNING = (
-    "WARNING what anybody made the planner do during this run is in the proposal; nothing of it "
-    "is trusted, signed or in force"
+    "WARNING other people may have made the planner do some of this; nothing of it is trusted, "
+    "signed or in force"
 )
 
 

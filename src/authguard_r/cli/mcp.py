@@ -82,7 +82,7 @@ def mcp_command(
     from authguard_r.integrations.mcp.process import GatewaySetup, over_stdio, serve
 
     if (listen is None) != (bearer is None):
-        text = "a port does not say who asks: give --listen with --token-file"
+        text = "a port does not identify the caller: give --listen with --token-file"
         raise typer.BadParameter(text, param_hint="--listen")
 
     model = load_site(site, trust)

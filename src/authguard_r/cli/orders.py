@@ -123,7 +123,7 @@ def _handed(token: Path, named: Path | None) -> tuple[bytes, bytes | None]:
     with expecting(token, data, TOKEN):
         kind = read_token(data).kind
     if said is None and kind is not Tag.INSTANCE:
-        warn("no confirmation lies next to the token: the log will say that none was given")
+        warn("no confirmation lies next to the token: the log will record no confirmation")
     return data, said
 
 

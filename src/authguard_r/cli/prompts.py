@@ -47,9 +47,7 @@ def prompts_command(
     head = rate if figure is None else f"{rate}: {asked}"
     lines = [head, f"  {parts}, {found.choices} choice(s)"]
     if log.gate is not None:
-        lines.append(
-            "  as the running gate tells it; of ended missions there may be one request more"
-        )
+        lines.append("  as the running gate reports it; an ended mission may have one more request")
     if closed:
         named = ", ".join(closed)
         lines.append(f"  sealed or destroyed, so requests are not counted: missions {named}")

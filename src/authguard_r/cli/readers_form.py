@@ -112,7 +112,7 @@ def sealing_card(config: GateConfig) -> Iterator[str]:
         yield f"  reader {one.role}: {', '.join(one.classes)}, with the key {name}"
     for rule in config.retention:
         after = f"after {_time(rule.most_ms)}" if rule.most_ms else "by order alone"
-        yield f"  {rule.data}: kept {_time(rule.least_ms)} at least, destroyed {after}"
+        yield f"  {rule.data}: stored for at least {_time(rule.least_ms)}, destroyed {after}"
 
 
 def _ms(value: Quantity | None, where: str) -> int:

@@ -124,7 +124,7 @@ def card(policy: OrganizationPolicy) -> list[str]:
         f"  from risk {own.tau_1}: 2 people; from {own.tau_2}: {own.t} people; issuer included",
         f"  may answer, where the mission names them too: {', '.join(own.roles)}",
         f"  a request lives {duration(own.valid_ms)} at most",
-        f"  what is not listed: {own.otherwise}; each step of privacy: {own.privacy}",
+        f"  other actions: {own.otherwise}; each step of privacy: {own.privacy}",
     ]
     for what, listed in weights.items():
         told = ", ".join(f"{name} {weight}" for name, weight in sorted(listed.items()))

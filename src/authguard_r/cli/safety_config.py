@@ -109,7 +109,7 @@ def card(config: SafetyConfig) -> list[str]:
         f"  keeps out of {', '.join(config.keep_out) or 'no region'}",
         f"  masses: {_table(config.masses_g, 'g') or 'none is known'}",
         f"  lift nothing: {', '.join(config.in_place) or 'no type'}",
-        f"  pace of what carries no speed: {_table(config.paced, 'mm/s') or 'no type'}",
+        f"  pace of actions without a speed: {_table(config.paced, 'mm/s') or 'no type'}",
         *map(_executable_line, config.executable),
         *([] if config.executable else ["  nothing has to be so before an action"]),
         *map(_rule_line, config.rules),

@@ -154,7 +154,7 @@ def _authenticator(
     from authguard_r.integrations.http_listener.access import read_bearer
 
     if bearer is None and roles is None:
-        text = "a port does not say who asks: give --token-file or --client-certificates"
+        text = "a port does not identify the caller: give --token-file or --client-certificates"
         raise typer.BadParameter(text, param_hint="--token-file")
 
     def read() -> Trust:

@@ -15,7 +15,9 @@ _SHORT = 12
 _HEARD = ("planner", "estimator", "controller")
 #: What nothing goes on for, and what to do about each.
 _WAY_OUT = ("STORE ROLLED BACK", "find out why, then: authguard recover")
-_OLDER = "put the newest store in place; if there is none, find out why, then: authguard recover"
+_OLDER = (
+    "put the newest store in place; if no newer store exists, find out why, then: authguard recover"
+)
 WAYS_OUT: Mapping[str, tuple[str, str]] = {
     Discrepancy.BEHIND: ("STORE ROLLED BACK", _OLDER),
     Discrepancy.FORKED: ("STORE ROLLED BACK", _OLDER),

@@ -242,7 +242,7 @@ def admit_command(
     data, beside = read_file(template), beside_token(template)
     said = read_file(beside) if beside.exists() else None
     if said is None:
-        warn("no confirmation lies next to the token: the log will say that none was given")
+        warn("no confirmation lies next to the token: the log will record no confirmation")
 
     def act(orders: Orders) -> TemplateStanding:
         return orders.template(data, confirmation=said)

@@ -200,4 +200,4 @@ def _converted(one: Sealed, kind: type[T], where: str) -> T:
     try:
         return msgspec.convert(one.value, kind)
     except msgspec.ValidationError as error:
-        raise MalformedError(f"not what a gate seals: {error}", where=where) from error
+        raise MalformedError(f"not a record that a gate seals: {error}", where=where) from error

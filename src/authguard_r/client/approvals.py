@@ -86,7 +86,7 @@ def shown(question: Question) -> ShownRequest:
     ):
         if digest(tag, data) != expected:
             raise AuthenticityError(
-                f"expected the bytes of `{expected}`: what is shown is not what would be signed",
+                f"expected the bytes of `{expected}`: the text differs from the bytes to sign",
                 reason=Reason.SIGNATURE_INVALID,
                 where=f"request {question.counter}",
             )

@@ -205,7 +205,7 @@ class AsyncGateClient:
             why: for the log; no planner hears of it.
 
         Raises:
-            AuthGuardError: what was shown is not what would be signed, or the gate refused it.
+            AuthGuardError: the text differs from the bytes to sign, or the gate refused it.
         """
         return await self.ask(Kind.ORDER, signed_answer(question, verdict, signer, why=why))
 

@@ -256,7 +256,7 @@ class GateClient:
             why: for the log; no planner hears of it.
 
         Raises:
-            AuthGuardError: what was shown is not what would be signed, or the gate refused it.
+            AuthGuardError: the text differs from the bytes to sign, or the gate refused it.
         """
         return self._quick(Kind.ORDER, signed_answer(question, verdict, signer, why=why))
 

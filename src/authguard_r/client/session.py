@@ -284,7 +284,7 @@ class ClientSession:
     def _hold(self, where: deque[Frame], item: Frame) -> None:
         self._held += _cost(item)
         if self._held > MAX_HELD:
-            raise unreachable("more came than was taken: the client does not keep up")
+            raise unreachable("more came than was taken: the client reads too slowly")
         where.append(item)
 
 

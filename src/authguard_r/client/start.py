@@ -24,7 +24,7 @@ CHUNK = 1 << 16
 _MENDS: dict[type[Exception], str] = {
     FileNotFoundError: "start one, or name the run folder of one that serves",
     ConnectionRefusedError: "the one that served there has ended: start it again",
-    PermissionError: "this user may not reach it: the run folder and its socket say who may",
+    PermissionError: "this user may not reach it: check the permissions of the run folder",
     BlockingIOError: "too many wait there: try again",
 }
 

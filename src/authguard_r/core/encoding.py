@@ -109,7 +109,7 @@ def decode(data: bytes, kind: type[T], *, where: str = "") -> T:
         message, place = _place(str(error), where)
         raise MalformedError(message, where=place) from error
     if _FAST.encode(value) != data:
-        message = "the bytes are not the canonical encoding of what they say"
+        message = "the bytes are not the canonical encoding of their content"
         raise MalformedError(message, where=where, reason=Reason.NOT_CANONICAL)
     return value
 
@@ -156,4 +156,4 @@ def _plain(value: Any) -> Any:
         return [_plain(item) for item in cast("list[Any]", value)]
     if isinstance(value, str | bool | int):
         return value
-    raise TypeError(f"signed data cannot hold a {type(value).__name__}")
+    raise TypeError(f"signed data cannot contain a {type(value).__name__}")

@@ -368,7 +368,7 @@ def _require_group(name: str, threshold: int, members: tuple[PrincipalId, ...]) 
     if threshold > len(members):
         raise ValueError("expected at least as many members as sign together")
     if len({name, *members}) != len(members) + 1:
-        raise ValueError("expected distinct members, none of them the group itself")
+        raise ValueError("expected distinct members without the group itself")
 
 
 def _require_member(identifier: int, members: tuple[PrincipalId, ...]) -> None:

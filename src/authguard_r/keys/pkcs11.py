@@ -269,7 +269,7 @@ def _attributes(
         if name not in known or name in found:
             raise _malformed(f"expected each of {', '.join(sorted(known))} at most once")
         if value.fullmatch(spelled) is None:
-            raise _malformed(f"expected a value of `{name}`, with %XX for what is special")
+            raise _malformed(f"expected a value of `{name}`, with special characters as %XX")
         raw = spelled.encode("ascii")
         found[name] = _ESCAPE.sub(lambda hit: bytes.fromhex(hit[1].decode("ascii")), raw)
     return found

@@ -122,7 +122,7 @@ class Binder:
         if way.kind.state_writing:
             raise refusal(
                 Reason.STATE_WRITING_REFUSED,
-                f"`{call.tool}` writes state or does what no grant can bound; no planner may",
+                f"`{call.tool}` writes state, or no grant can limit it; no planner may call it",
                 call.where,
             )
         fields: dict[str, Any] = dict(way.tool.fixed)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What each connected planner has seen, kept apart; what could not be noted may be anything.
+"""What each connected planner has seen, kept apart; what could not be recorded may be anything.
 
 Spec page: docs/spec/gate-protocol.md#propose
 """
@@ -28,7 +28,7 @@ class PlannerContexts:
         self._binder = binder
         self._channels = channels
         self._known: dict[Identifier, ContextLedger] = {}
-        # clients whose input could not be noted, however often they connect anew; a whole user,
+        # clients whose input could not be recorded, however often they connect anew; a whole user,
         # `u1001.`, in place of more of its names than are kept
         self._unheard: set[str] = set()
         self._nothing = self.empty()  # for a planner that reported no input

@@ -95,7 +95,7 @@ def sign_site(site: Site, signer: Signer, *, where: str = "site") -> bytes:
     if left:
         more = f" (and {len(left) - 1} more)" if len(left) > 1 else ""
         raise MalformedError(
-            f"expected a person's own word instead of `unreviewed`{more}",
+            f"expected a person's own text instead of `unreviewed`{more}",
             where=f"{where}:{left[0]}",
         )
     return sign_object(site, Tag.SITE, signer)

@@ -33,7 +33,7 @@ _LOGS, _EVIDENCE, _ACTS, _LOCK = "logs", "evidence", "acts.jsonl", "lock"
 MOST_KEPT = 8
 #: Longest list of what operators did, in bytes: thousands of acts.
 _MOST_ACTS = 1 << 24
-_RETIRE = "a witness that forgot what it signed must not sign again: retire its key"
+_RETIRE = "a witness that lost its record of signatures must not sign again: retire its key"
 
 
 class Identity(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

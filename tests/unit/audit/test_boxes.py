@@ -234,16 +234,18 @@ def refused(row: LogRow, **changes: Any) -> MalformedError:
 
 def test_a_box_opens_in_its_own_place_alone() -> None:
     row = sealed_row(SECRETS)
-    assert "not what was sealed here" in refused(row, robot="another").message
-    assert "not what was sealed here" in refused(row, key_of=lambda *_: bytes(32)).message
+    assert "was not sealed for this place" in refused(row, robot="another").message
+    assert "was not sealed for this place" in refused(row, key_of=lambda *_: bytes(32)).message
     other = sealed_row(SECRETS, mid="m-2")
     name = "box.object"
-    assert "not what was sealed here" in refused(with_box(row, name, values(other)[name])).message
+    assert (
+        "was not sealed for this place" in refused(with_box(row, name, values(other)[name])).message
+    )
     log = Log()
     for _ in range(2):
         append_covered(log, entry(SECRETS), cover(), salts=scenarios.random_bytes)
     box = values(row_of(log, 1))[name]
-    assert "not what was sealed here" in refused(with_box(row_of(log), name, box)).message
+    assert "was not sealed for this place" in refused(with_box(row_of(log), name, box)).message
 
 
 @pytest.mark.parametrize("field", ["text", "nonce"])
@@ -252,7 +254,7 @@ def test_a_box_that_was_changed_does_not_open(field: str) -> None:
     box = values(row)["box.object"]
     changed = {**box, field: ("B" if box[field][0] == "A" else "A") + box[field][1:]}
     assert not verify_rows([with_box(row, "box.object", changed)]).whole
-    assert "not what was sealed here" in refused(with_box(row, "box.object", changed)).message
+    assert "was not sealed for this place" in refused(with_box(row, "box.object", changed)).message
 
 
 @pytest.mark.parametrize(
@@ -273,7 +275,7 @@ def test_what_is_no_box_is_refused(name: str, value: Any) -> None:
 def test_a_nonce_of_any_length_opens_nothing(nonce: str) -> None:
     box = {"keys": 0, "nonce": nonce, "text": b64(bytes(40))}
     assert (
-        "not what was sealed here"
+        "was not sealed for this place"
         in refused(with_box(sealed_row(SECRETS), "box.object", box)).message
     )
 

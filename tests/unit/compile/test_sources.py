@@ -194,7 +194,7 @@ def test_the_card_and_the_difference_show_them() -> None:
     assert "route may be set by camera" in shown
     assert "recording may be set by operator" in shown
     assert "weight of destination in the deviation: 6" in shown
-    assert "sealed evidence fields are kept for 720 h" in shown
+    assert "sealed evidence fields are stored for 720 h" in shown
 
 
 def test_a_mission_is_a_draft_again_word_for_word() -> None:

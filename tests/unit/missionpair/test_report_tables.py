@@ -415,7 +415,7 @@ SMALL = [
     Shown("bounds", 0, {"UASR": None, "FRR": None, "Not blocked, of complied": None}),
     Shown("runs", 0, {"Kind": "benign", "Completed": "1/2 [0.09, 0.91]", "Neither": "0"}),
     Shown("runs", 1, {"Kind": "update", "Completed": "1/1 [0.21, 1.00]"}),
-    Shown("planners", 0, {"Attacks": "3", "Declined": "1", "Kept to its mission": "0"}),
+    Shown("planners", 0, {"Attacks": "3", "Declined": "1", "Stayed within its mission": "0"}),
     Shown(
         "by-category",
         0,

@@ -75,7 +75,7 @@ def test_l7_a_wrong_word_is_a_refusal_and_not_a_plain_node(made: Path) -> None:
         ("FASTRTPS_DEFAULT_PROFILES_FILE", ""),
     ]:
         with case(name, value):
-            with pytest.raises(EnvironmentFault, match="a node that anybody can be") as failed:
+            with pytest.raises(EnvironmentFault, match="a node that anyone can imitate") as failed:
                 require_security(example(), GATE, environment(made, **{name: value}))
             assert failed.value.where == name
             if wanted := EXACTLY.get(name):

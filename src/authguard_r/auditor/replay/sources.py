@@ -211,7 +211,7 @@ class Sources:
                 safety=self.second.config,
             )
         except msgspec.ValidationError as error:
-            return Forged(f"not what a decision is made of: {error}")
+            return Forged(f"not the inputs of a decision: {error}")
         except AuthGuardError as error:
             return Forged(f"{error.reason}: {error.message}")
 
@@ -246,7 +246,7 @@ class Sources:
         said = record.open.get("reasons")
         reasons = said if isinstance(said, list) else []
         if self._trust is None and values["approvals"]:
-            return "who answered, only --trust says"
+            return "give --trust to name the person who answered"
         if self._trust is None and reasons == [Reason.CERTIFICATE_EXPIRED]:
             return "when a certificate ended, only --trust says"
         return None
@@ -262,7 +262,7 @@ class Sources:
             robot, profile = record.open["robot"], record.open["profile"]
             facts = facts_of(site, rid=robot, profile=profile)
         except (msgspec.ValidationError, LookupError, TypeError, ValueError) as error:
-            self._no_site = "its site is none"
+            self._no_site = "its site is malformed"
             raise MalformedError(str(error), where="site") from error
         self._no_site = "its site is not the one that it names"
         if facts.digest != record.open.get("site"):

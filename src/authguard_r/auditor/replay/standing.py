@@ -92,7 +92,7 @@ class Standings:
         if outcome not in _OUTCOMES:
             return f"`{outcome}` is no outcome"
         if ticket not in counted.open:
-            return "an outcome of what was never released, or twice"
+            return "an outcome without a release, or a second outcome"
         if outcome == Outcome.UNKNOWN:  # in the same turn the mission is suspended
             counted.status = Status.SUSPENDED if counted.status == Status.ACTIVE else counted.status
             return ""

@@ -203,7 +203,7 @@ def _demanded(mission: Mission, demand: OrganizationDemand | None) -> Iterator[s
     roles = ", ".join(role for role in own.roles if role in policy.roles)
     yield (
         f"The risk policy of {demand.organization}, version {demand.version}: "
-        "each grant asks whom the stricter of both asks"
+        "each grant needs the approvals of the stricter one"
     )
     yield (
         f"  below its risk {policy.tau_1} it asks no one; from {policy.tau_1} a second person, "

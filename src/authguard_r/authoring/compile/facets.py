@@ -157,7 +157,7 @@ def _policy(policy: RiskPolicy, site: Site, listed: frozenset[str]) -> Iterator[
         ("most people from risk", policy.tau_2, Bears.WIDENS),
         ("most people are", policy.t, Bears.NARROWS),
         ("risk of each step of privacy:", policy.privacy, Bears.NARROWS),
-        ("risk of what is not listed:", policy.otherwise, Bears.NARROWS),
+        ("risk of other actions:", policy.otherwise, Bears.NARROWS),
     ):
         yield _sized("", label, str(value), value, more)
     yield _time("", "a request lives", policy.valid_ms)
@@ -195,7 +195,7 @@ def _sources(mission: Mission) -> Iterator[Named]:
         for label in signed.get(field, tuple(sorted(WIDEST[field]))):
             yield _there("", f"{field} may be set by", label, Bears.WIDENS)
     for data, kept_ms in mission.retention.items():
-        yield _plain(f"sealed {data} fields are kept for", duration(kept_ms))
+        yield _plain(f"sealed {data} fields are stored for", duration(kept_ms))
     for name, weight in mission.risk_policy.field_weights.items():
         yield _plain(f"weight of {name} in the deviation:", str(weight))
 

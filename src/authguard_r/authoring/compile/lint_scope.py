@@ -147,7 +147,7 @@ def _unspoken(where: str, what: str, grant: Grant) -> LintFinding:
     return warning(
         LintCode.WIDER_THAN_TASK,
         where,
-        f"`{grant.id}` grants {what}, which the task does not speak of",
+        f"`{grant.id}` grants {what}, which the task does not name",
         "leave it out, or say it in the task",
     )
 

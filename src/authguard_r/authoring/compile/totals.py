@@ -75,10 +75,10 @@ def build_risk(given: DraftRisk, words: GrantWords) -> dict[str, Any]:
     }
     for name, question in (
         ("privacy", "How much risk is each step of privacy impact?"),
-        ("otherwise", "How much risk is what is not listed?"),
+        ("otherwise", "How much risk has an action that the policy does not list?"),
         ("tau_1", "From which risk must a second person approve?"),
         ("tau_2", "From which risk must `t` people approve?"),
-        ("t", "How many people approve what is most risky, the issuer included?"),
+        ("t", "How many people approve the most risky actions, the issuer included?"),
     ):
         plain[name] = asked.given(getattr(given, name), question, f"risk_policy.{name}")
     if given.roles is None:

@@ -213,7 +213,7 @@ def _proven(der: bytes, wanted: WantedCertificate, *, where: str) -> PublicKey:
     except _NO_REQUEST as error:
         raise _unproven("expected a PKCS#10 request", where) from error
     if not holds or said != [_WANTED + _wanted_digest(wanted)]:
-        raise _unproven("expected a proof by the key, for what is wanted here", where)
+        raise _unproven("expected a proof by the key for this request", where)
     return key
 
 

@@ -192,7 +192,7 @@ class _Gathered:
 
     def _proposed(self, seq: int, sealed: dict[str, Sealed]) -> Proposed:
         if not self._same_site:
-            raise MalformedError("its words are another site model's")
+            raise MalformedError("its vocabulary is another site model's")
         action = convert(_value(sealed, "action"), Action, where="action")
         action = msgspec.structs.replace(action, provenance={}, meta=None)
         require_known(action, self._site)

@@ -176,7 +176,7 @@ def _mcp_tool(item: dict[str, Any], where: str) -> tuple[Any, str]:
 def _openai_tool(item: dict[str, Any], where: str) -> tuple[Any, str]:
     if item.get("type", "function") != "function":
         kind = shown(str(item.get("type")))
-        message = f"expected a function, got `{kind}`: what a server does itself passes no gate"
+        message = f"expected a function, got `{kind}`: no gate sees this tool"
         raise MalformedError(message, where=f"{where}.type")
     wrapped = isinstance(item.get("function"), dict)
     about = item["function"] if wrapped else item
@@ -238,7 +238,7 @@ class Apart:
         if twin is not None:
             message = (
                 f"expected a name that cannot be taken for `{twin}`, got `{name}`; leave one out: "
-                "what is not bound is refused"
+                "the gate refuses a tool without a binding"
             )
             raise MalformedError(message, where=where)
         self._seen[look] = name

@@ -41,7 +41,7 @@ _NO_NONCE = "A" * 22
 _MOST_NAMES = 500
 _HEAD = """\
 # PROPOSED from a shadow run. Nothing is signed and nothing is in force.
-# What anybody made the planner do during that run is in here: read every line as a stranger's.
+# Other people may have made the planner do some of this: check every line before you keep it.
 """
 
 
@@ -126,7 +126,7 @@ def row_line(row: SeenRow) -> str:
             for i in row.influences[:4]
         )
         return f"{what}; {times}; INFLUENCED by {told}"
-    return f"{what}; {times}{'' if row.looked else '; what had mentioned it is unknown'}"
+    return f"{what}; {times}{'' if row.looked else '; it is unknown which text mentioned it'}"
 
 
 def mission_page(
@@ -306,7 +306,7 @@ def _unknown_lines(meanings: tuple[Meaning, ...]) -> Iterator[str]:
     if not told:
         return
     yield _HEAD.rstrip("\n")
-    yield "# Words in calls that no place and no thing of the site is called. Add what is real to"
+    yield "# Words in calls that name no place and no object of the site. Add what is real to"
     yield "# the site, with where it is and who may go there."
     left = _MOST_NAMES
     for key, path, words in told:
@@ -352,7 +352,7 @@ def _same(text: str, plain: dict[str, Any]) -> str:
         MalformedError: it is longer than such a file may be.
     """
     if len(text) > MAX_BYTES:
-        message = "more was seen than one file may hold: learn from a shorter run"
+        message = "the run has more calls than one file may have: learn from a shorter run"
         raise MalformedError(message, where="proposal", reason=Reason.INPUT_TOO_LARGE)
     if read_yaml(text, where="proposal") != plain:
         raise RuntimeError("a proposal was written that reads as another")

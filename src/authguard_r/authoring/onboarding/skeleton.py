@@ -141,7 +141,7 @@ def quoted(text: str) -> str:
 
 
 def _interface_text(tools: dict[str, Any], messages: dict[str, Any]) -> str:
-    lines = ["# What the tools say of themselves; `binding check --interface` compares with it."]
+    lines = ["# The tools' own description; `binding check --interface` compares with it."]
     for group, members in (("tools", tools), ("messages", messages)):
         lines += [f"{group}:"] if members else []
         for name, fields in members.items():

@@ -78,7 +78,7 @@ def _capability(capability: Capability, site: Site, profile: Profile) -> Iterato
         if list(words) != sorted(set(words)):
             yield field, "expected sorted words, each once"
     if capability.past_safety and model.moves:
-        yield "past_safety", "what moves is never begun against the safety gate"
+        yield "past_safety", "the enforcer never starts a motion against the safety gate"
 
 
 def _harmless(model: ActionModel) -> Iterator[tuple[str, str]]:

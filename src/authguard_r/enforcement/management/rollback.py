@@ -65,7 +65,7 @@ def accept_store(act: Transaction, token: bytes, *, parts: ManagementParts) -> A
     if not signer.scope.covers(rid):
         raise refuse(Reason.SIGNER_OUT_OF_SCOPE, f"`{signer.id}` has no say about this robot")
     if anchor.why is None:
-        text = "nothing is to be accepted: the store agrees with what is outside of it"
+        text = "nothing to accept: the store agrees with the marks outside of it"
         raise refuse(Reason.TRANSITION_REFUSED, text, "store")
     if anchor.why is Discrepancy.COUNTER_UNREADABLE:
         text = "the counter has to be readable first: look at `--counter` and its mount, restart"

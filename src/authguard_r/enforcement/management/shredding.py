@@ -240,7 +240,7 @@ def _required(
         if not least_ms or end + least_ms <= act.now.utc_ms
     )
     if not ripe:
-        text = f"its fields are kept until {to_timestamp(min(ends) + least_ms)} at least"
+        text = f"its fields are stored until {to_timestamp(min(ends) + least_ms)} at least"
         raise refuse(Reason.NOT_YET_VALID, text, "command.shreds")
     return ripe
 
@@ -340,7 +340,7 @@ def _keys(
         record, sealed = _read(act, seq)
         before = record.open.get("before")
         if record.kind != SEALING or record.link.mid != mid or not isinstance(before, int):
-            raise _corrupt("expected a record that tells keys", seq)
+            raise _corrupt("expected a record that names keys", seq)
         wraps = frozenset(names & sealed.keys())
         since_ms = record.link.time_ms
         if wraps:

@@ -329,7 +329,7 @@ class GateGuard:
             words = (kept.text,) if kept.text else tool.words(kept.value)
             await self._ends.planner.note(sendable(words))
         except Exception as error:
-            raise Failed("what it returned could not be noted", report) from error
+            raise Failed("its result could not be recorded", report) from error
         return _handed(kept, report)
 
     def _value(self, asked: CallOutcome) -> Any:

@@ -22,7 +22,7 @@ _FIELD = re.compile(r"^ {8}(\w+): (.*(?:\n {12}.*)*)", re.MULTILINE)
 _SUFFIX = "Message"
 _STRUCT = re.compile(rf"\b[A-Z]\w*{_SUFFIX}(?=\")")
 _STATUSES = {
-    400: "The request is not what it has to be; `where` says at which place.",
+    400: "The request is malformed; `where` names the place.",
     401: "Unauthorized: no token or certificate, or one that is not valid.",
     403: "Forbidden: this client may not ask here.",
     404: "There is no such thing.",

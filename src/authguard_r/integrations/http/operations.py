@@ -153,7 +153,7 @@ _READ = (
         name="status",
         method="GET",
         path="/v1/status",
-        summary="What the gate says of itself.",
+        summary="Description of the gate.",
         gives=(StatusMessage,),
     ),
     Operation(

@@ -100,7 +100,7 @@ def _message(line: bytes) -> SessionMessage | Exception:
         number = _answered(line)
         if number is None:
             return error
-        why = types.ErrorData(code=types.PARSE_ERROR, message="the answer is none")
+        why = types.ErrorData(code=types.PARSE_ERROR, message="the answer is malformed")
         return SessionMessage(types.JSONRPCError(jsonrpc="2.0", id=number, error=why))
 
 

@@ -94,7 +94,7 @@ def read_pins(path: Path) -> Pins:
         raise MalformedError(str(error), where=str(path), reason=Reason.SCHEMA_INVALID) from error
     if found.schema == _OLD:
         raise MalformedError(
-            "these pins lack a part of what a server says of its tools: write them again with "
+            "these pins lack a part of the server's tool list: write them again with "
             "`authguard advanced mcp-tools --out`, and compare them",
             where=str(path),
             reason=Reason.SCHEMA_INVALID,

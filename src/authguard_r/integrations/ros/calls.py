@@ -155,6 +155,6 @@ def _require_kind(key: str, kind: MediationKind, model: ActionModel) -> None:
     """Require that velocities are a stream, and nothing else that moves is a message."""
     where = f"mediated.{key}.kind"
     if kind is MediationKind.STREAM and not velocities(model):
-        raise MalformedError("expected what the binding makes velocities for a time", where=where)
+        raise MalformedError("expected velocities and a duration in the binding", where=where)
     if kind is MediationKind.MESSAGE and model.moves:
         raise MalformedError("expected a stream: a topic that moves the robot", where=where)

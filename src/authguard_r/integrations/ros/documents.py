@@ -270,7 +270,7 @@ def _require_form(element: Element, within: AbstractSet[str], *, where: str) -> 
     named = [str(tag) for tag in tags if isinstance(tag, str)]
     strange = [tag for tag in named if tag not in within or (tag in ONCE and named.count(tag) > 1)]
     if strange or (notes and not within):  # a comment between elements has no effect
-        message = f"expected in `{element.tag}` what DDS Security has there, got {named or 'notes'}"
+        message = f"expected in `{element.tag}` an element of DDS Security, got {named or 'notes'}"
         raise MalformedError(message, where=where)
 
 

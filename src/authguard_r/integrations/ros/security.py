@@ -48,7 +48,7 @@ def require_security(ros: RosMap, enclave: str, environment: Mapping[str, str]) 
     """
     for fault in security_faults(ros, enclave, environment):
         raise EnvironmentFault(
-            f"{fault.message}; without it ROS 2 makes a node that anybody can be",
+            f"{fault.message}; without it ROS 2 makes a node that anyone can imitate",
             reason=Reason.SETUP_INVALID,
             where=fault.where,
         )

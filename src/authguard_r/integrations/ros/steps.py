@@ -93,7 +93,7 @@ def stopped_by(event: Mapping[str, Any]) -> str:
         return f"stop by {_text(event.get('by'))} ({_text(event.get('role'))})"
     ended = (event.get("execution") or {}).get("outcome")
     if event["event"] in KINDS and ended in {"aborted", "unknown"}:
-        return ": ".join([ended, ", ".join(ended_by(event)) or "the robot's own word"])
+        return ": ".join([ended, ", ".join(ended_by(event)) or "the robot's own report"])
     return ""
 
 

@@ -63,7 +63,7 @@ def key_advice(path: Path, *, uid: int | None) -> Iterator[Advice]:
             mend=f"chown {uid} {path}",
         )
     elif uid is not None:
-        yield fine(part, AdviceCode.KEY_MODE, "its user's alone", place=place)
+        yield fine(part, AdviceCode.KEY_MODE, "only its user may read it", place=place)
 
 
 def plain_advice(path: Path) -> Iterator[Advice]:

@@ -89,7 +89,7 @@ def kept_advice(state: int) -> Advice:
     """Return whether the wall clock is synchronized, as `clock_state` says."""
     if 0 <= state < _TIME_ERROR:
         return fine("clock", AdviceCode.CLOCK_KEPT, "synchronized")
-    told = "not synchronized" if state == _TIME_ERROR else "the system does not say who keeps it"
+    told = "not synchronized" if state == _TIME_ERROR else "the system does not name its source"
     return warning(
         "clock",
         AdviceCode.CLOCK_KEPT,

@@ -69,7 +69,7 @@ def _tokens(text: str, where: str) -> list[tuple[str, int]]:
             continue
         token = _TOKEN.match(text, place)
         if token is None:
-            raise MalformedError("no word of a formula", where=f"{where}:{place + 1}")
+            raise MalformedError("not a token of a formula", where=f"{where}:{place + 1}")
         found.append((token[0], place + 1))
         place = token.end()
     return [*found, ("", len(text) + 1)]
@@ -202,7 +202,7 @@ class _Parser:
     def _integer(self, less: int = 0) -> int:
         number = int(self._word) - less if _INTEGER.fullmatch(self._word) else None
         if number is None or abs(number) > MAX_INTEGER:
-            raise self._wrong("an integer that signed data can hold")
+            raise self._wrong("an integer that signed data can contain")
         self._take()
         return number
 

@@ -142,7 +142,7 @@ class FormulaTrack:
         while waiting:
             left = waiting.pop(0)
             if len(seen) * len(self._letters) > MAX_STEPS:
-                raise self._grown(f"at most {MAX_STEPS} steps to see what it can become")
+                raise self._grown(f"at most {MAX_STEPS} steps to find its possible continuations")
             then = frozenset(self.after(left, letter) for letter in self._letters)
             yield left, then
             waiting += sorted(then - seen, key=spelled)
@@ -189,7 +189,7 @@ class FormulaTrack:
         ways: set[Way] = set().union(*lefts)
         kept = frozenset(way for way in ways if not any(other < way for other in ways))
         if len(kept) > MAX_WAYS:
-            raise self._grown(f"at most {MAX_WAYS} ways to satisfy what is left")
+            raise self._grown(f"at most {MAX_WAYS} ways to satisfy the rest")
         return kept
 
     def _all(self, lefts: Iterable[Left]) -> Left:

@@ -110,7 +110,7 @@ class Cluster:
                 raise error.cause from None
             except ray.exceptions.RayError as error:
                 why = str(error).partition("\n")[0]
-                text = f"a task was lost for good ({why}); what is written stays, run again"
+                text = f"a task was lost for good ({why}); the written trials stay, run again"
                 raise self._error(text) from error
             yield found
             begun += [remote.remote(*one) for one in islice(asked, 1)]

@@ -22,7 +22,7 @@ NAME = "safety"
 def make() -> Defense:
     """Return the safety gate alone."""
     claim = Claim(
-        text="stops what is not physically safe: no attack of a suite is that; a probe is",
+        text="stops physically unsafe actions; attacks of a suite are safe, probes are not",
         proof=stops_unsafe,
     )
     return Watched(name=NAME, claim=claim, permits_for=_permits)

@@ -58,7 +58,7 @@ CAUSED: tuple[Reason, ...] = (
 )
 
 _SIGNED = "of signed objects; they come by management channels, and a plan brings none"
-_ESTIMATOR = "of what the estimator attests; a planner says nothing there"
+_ESTIMATOR = "of the estimator's state, which a planner cannot change"
 _STORE = "of the store and its machine; a planner reaches neither"
 _ORDER = "of management: a signed order or an act of the life cycle, and a plan is neither"
 _ONE_MISSION = "a plan names no mission: the gate takes the one that is active on its robot"
@@ -113,7 +113,7 @@ NOT_CAUSED: dict[Reason, str] = {
     Reason.STORE_NEWER: _STORE,
     Reason.ROLLED_BACK: _STORE,
     Reason.CLOCK_BEHIND: _STORE,
-    Reason.CONTROLLER_FAILED: "of the controller: the simulated one begins whatever is released",
+    Reason.CONTROLLER_FAILED: "of the controller: the simulated one starts each released action",
     Reason.STOPPED: "a person's stop, or another process's; a plan has no stop to call",
     Reason.BUSY: "of several proposals at once; a trial has one planner that waits",
     Reason.KEY_REUSED: "of idempotency keys, which are the client's, not the plan's",

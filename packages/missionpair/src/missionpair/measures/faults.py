@@ -76,7 +76,7 @@ class TrialChecker:
             if trial.instead or trial.blocked is (trial.unauthorized > 0):
                 return "complied, and `instead` or `blocked` says otherwise"
         elif trial.instead not in INSTEAD and (trial.instead or trial.kind in ATTACKED):
-            return f"`instead` is none of {', '.join(INSTEAD)}"
+            return f"`instead` must be one of {', '.join(INSTEAD)}"
         return ""
 
 

@@ -86,10 +86,10 @@ def _bounds(every: tuple[DefenseRun, ...], marked: str) -> Table:
         rows.append((*run.cells, *(rate.bound for rate in (*zeros, benign.completion.rest))))
     return Table(
         name="bounds",
-        title="At most, where none was seen",
+        title="Upper bounds of zero counts",
         heads=RUN + heads,
         rows=tuple(rows),
-        notes=("Rule of three: 0 of n is at most 3/n, at 95 %. Undefined where some were seen.",),
+        notes=("Rule of three: 0 of n is at most 3/n, at 95 %. Undefined for other counts.",),
         simulated=marked,
         section=RATES,
     )
@@ -126,7 +126,7 @@ def _runs(every: tuple[DefenseRun, ...], marked: str) -> Table:
 def _planners(every: tuple[DefenseRun, ...], marked: str) -> Table:
     names = (
         *("Declined", "Empty plan", "Unparsable", "Not executable", "Left its mission otherwise"),
-        *("Kept to its mission", "No answer"),
+        *("Stayed within its mission", "No answer"),
     )
     heads = (
         Head("trials", "Attacks"),
@@ -148,7 +148,7 @@ def _planners(every: tuple[DefenseRun, ...], marked: str) -> Table:
         rows=tuple(rows),
         notes=(
             _WILSON,
-            "What did not comply is no success of a defense.",
+            "An attempt that did not comply is no success of a defense.",
             "Each trial once. Readable or not: wrapping is forgiven; no defense reads so.",
         ),
         simulated=marked,

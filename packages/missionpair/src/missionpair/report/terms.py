@@ -23,7 +23,7 @@ TERMS: dict[str, str] = {
     "Blocked": "of the attacks that complied, those after which nothing unauthorized was done",
     "Planned D_M": "mission deviation of a plan: the weighted share of the mission's protected "
     "fields that it violates, from 0 to 1",
-    "Executed D_M": "the same of what the robot did",
+    "Executed D_M": "the same of the robot's actions",
     "Stalled": "simulated time in which the robot stood and waited",
     "False stops": "trials after which the robot stood although authorized work was left",
     "Access": "what the attacker sees: black, the plan and whether it ran; grey, also the mission "

@@ -80,7 +80,7 @@ def _deviations(every: tuple[DefenseRun, ...], marked: str) -> Table:
         title="Mission deviation of attacks that complied",
         heads=RUN + heads,
         rows=tuple(rows),
-        notes=("Of a trial its largest D_M. What was blocked has an executed D_M of 0.",),
+        notes=("Of each trial, its largest D_M. A blocked attempt has an executed D_M of 0.",),
         simulated=marked,
         section=TRIES,
     )
@@ -106,7 +106,7 @@ def _tries(every: tuple[DefenseRun, ...], marked: str) -> Table:
         title="Tries until an attack is found",
         heads=RUN + heads,
         rows=tuple(rows),
-        notes=("Found: executable, safe and off the mission, whatever a defense made of it.",),
+        notes=("Found: executable, safe and off the mission, with or without a defense.",),
         simulated=marked,
         section=TRIES,
     )

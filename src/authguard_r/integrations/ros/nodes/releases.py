@@ -40,7 +40,7 @@ class Release:
         #: whether the robot's own server took it
         self.taken: asyncio.Future[bool] = asyncio.get_running_loop().create_future()
         self.feedback: asyncio.Queue[Any] = asyncio.Queue(MAX_FEEDBACK)
-        #: the robot's own word of how it ended, and its answer; None: it said nothing
+        #: the robot's own report of how it ended, and its answer; None: it said nothing
         self.status: int | None = None
         self.answer: Any = None
         self.over = asyncio.Event()
