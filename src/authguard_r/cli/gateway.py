@@ -214,7 +214,7 @@ def connect_as(path: Path, roles: Iterable[ClientRole]) -> GateClient:
                 raise
             tried.append(f"`{role}`")
     raise AuthenticityError(
-        f"this user has no role of {', '.join(tried)} here",
+        f"this user may not connect as {', '.join(tried)} here",
         reason=Reason.ROLE_DENIED,
         where=str(path),
     )

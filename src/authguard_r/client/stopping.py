@@ -248,7 +248,7 @@ class StopEverywhere:
 
     def _nobody(self, part: StopPath) -> AuthenticityError:
         return AuthenticityError(
-            f"this user has no role of {', '.join(f'`{role}`' for role in self._roles)} here",
+            f"this user may not connect as {', '.join(f'`{role}`' for role in self._roles)} here",
             reason=Reason.ROLE_DENIED,
             where=str(self._run / part),
         )

@@ -10,13 +10,8 @@ from typing import Annotated, Any
 
 import typer
 
-from missionpair import suites
-from missionpair.campaign.plan import Progress
 from missionpair.cli_progress import shown
 from missionpair.cli_run import JobsOption
-from missionpair.pair import Suite
-from missionpair.perception import is_perceivable, perceive
-from missionpair.suites import counts_of, write_suite
 
 
 def perceive_command(
@@ -39,6 +34,11 @@ def perceive_command(
 
     Pairs without a sign or speech, and pairs in other languages than English, are left out.
     """
+    from missionpair import suites
+    from missionpair.campaign.plan import Progress
+    from missionpair.pair import Suite
+    from missionpair.perception import is_perceivable, perceive
+
     if out.exists():
         raise typer.BadParameter("there is such a file already", param_hint="--out")
     if not out.parent.is_dir():
@@ -55,9 +55,9 @@ def perceive_command(
         found = perceive(
             part, jobs=jobs, keep=keep, show=lambda done: show(Progress(done, len(chosen)))
         )
-    digest = write_suite(found, out)
+    digest = suites.write_suite(found, out)
     summary = {"suite": str(out), "digest": digest, "pairs": len(found.pairs)}
-    summary["perceived"] = counts_of(found)["perceived"]
+    summary["perceived"] = suites.counts_of(found)["perceived"]
     sys.stdout.write("\n".join(_lines(summary) if not as_json else [json.dumps(summary)]) + "\n")
     return 0
 
