@@ -66,6 +66,8 @@ def _enter(below: Any, value: Any, found: dict[str, Any], where: str, tool: str)
         if below in found:
             raise refusal(Reason.VALUE_INVALID, "expected the value once", where)
         found[below] = value
+    elif value is None:
+        return  # as if nothing below it were there
     elif "0" in below:
         if not isinstance(value, list):
             raise refusal(Reason.VALUE_INVALID, "expected a list", where)

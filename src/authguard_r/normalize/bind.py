@@ -109,6 +109,8 @@ class Binder:
             for name in binding.tools
         }
         self._results = result_channels(binding, site)
+        #: the form of replies that the binding declares
+        self.reply = binding.reply
         #: names the binding
         self.digest = binding_digest(binding)
 
@@ -230,7 +232,8 @@ class Binder:
             unknown = min(given.keys() - form.names)
             raise unknown_field(tool, f"{where}.{ascii(unknown)[1:-1][:80]}")
         for path, suffix, target, reader, default, needed in form.readers:
-            if path in given:
+            # null says that an optional argument is left out; a needed one has to have a value
+            if given.get(path) is not None or (needed and path in given):
                 fields[target] = reader(given[path], where + suffix)
             elif default is not None:
                 fields[target] = default

@@ -29,6 +29,7 @@ from authguard_r.core.identifiers import (
     ToolId,
 )
 from authguard_r.core.reasons import Reason
+from authguard_r.normalize.dialects import ReplyForm
 from authguard_r.normalize.expected import DECIMAL, AnswerMatch, Constant, match_fault, same
 from authguard_r.site.channels import channel_labels
 from authguard_r.site.model import ActionModel, Site
@@ -150,12 +151,14 @@ class Binding(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=Tru
         schema: the version of this language.
         id: what people call it.
         site: the one site that it is made for; absent: any whose vocabulary has the types.
+        reply: the form of the planner's JSON, where it is none of the known ones.
         tools: by external name; `when` distinguishes several ways of a tool.
     """
 
     schema: Literal["authguard-r/binding/1"]
     id: Identifier
     site: Identifier | None = None
+    reply: ReplyForm | None = None
     tools: dict[str, ToolBinding | Ways]
 
 
@@ -211,6 +214,8 @@ def binding_faults(binding: Binding, site: Site) -> Iterator[tuple[str, str]]:
     """Yield the place and the message of every fault; nothing when the binding is sound."""
     if binding.site not in {None, site.id}:
         yield "site", f"expected a binding for `{site.id}`"
+    if binding.reply is not None:
+        yield from _reply_faults(binding.reply)
     for name in binding.tools:
         found = ways_of(binding, name)
         for number, way in enumerate(found):
@@ -224,6 +229,15 @@ def binding_faults(binding: Binding, site: Site) -> Iterator[tuple[str, str]]:
                 if not _apart(way.tool, other.tool):
                     yield f"{way.place}.when", f"expected a constant that `{other.place}` has not"
     yield from _effect_faults(binding, site)
+
+
+def _reply_faults(form: ReplyForm) -> Iterator[tuple[str, str]]:
+    """Each key of a reply has one meaning, and the tool's key is there."""
+    names = [name for name in (form.list, form.tool, form.arguments, *form.text) if name]
+    if not form.tool:
+        yield "reply.tool", "expected the key of a step's tool"
+    if len(set(names)) < len(names):
+        yield "reply", "expected each key once"
 
 
 def _effect_faults(binding: Binding, site: Site) -> Iterator[tuple[str, str]]:
