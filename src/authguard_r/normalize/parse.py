@@ -83,6 +83,8 @@ def read_json_sequence(text: str, *, where: str) -> list[Any]:
                 if text[at] != ";":
                     raise json.JSONDecodeError("expected `;`", text, at)
                 at = _skip(text, at + 1)
+                if at == len(text):
+                    raise json.JSONDecodeError("expecting value", text, at)
         return found
 
     found: list[Any] = _checked(text, where, values)

@@ -209,9 +209,11 @@ def test_a_notification_is_refused_because_nobody_would_hear_of_a_refusal() -> N
         (request(tool="go"), "input.tool"),
         (request(result={}), "input.result"),
         (params(task={"ttl": 1}), "input.params.task"),
-        (params(_meta={"progressToken": 1}), "input.params._meta"),
-        (params(_meta=None), "input.params._meta"),
-        (params(_meta=[]), "input.params._meta"),
+        (
+            params(_meta={"progressToken": 1, "authguard-r/key": "x"}),
+            "input.params._meta.authguard-r/key",
+        ),
+        (params(_meta={"x": 1}), "input.params._meta.x"),
     ],
 )
 def test_a_request_has_no_other_field(text: str, where: str) -> None:

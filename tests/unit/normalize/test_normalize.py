@@ -99,7 +99,6 @@ CODE = [
     "cos\nsystem\n(S'touch {path}'\ntR.",
     "$(touch {path})",
     "`touch {path}`",
-    "navigate_to(destination='Dock')\n#{{`touch {path}`}}",
     "{{% for x in ().__class__.__bases__ %}}{{% endfor %}}",
     "!!python/object/apply:os.system ['touch {path}']",
 ]

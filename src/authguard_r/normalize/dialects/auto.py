@@ -106,6 +106,8 @@ _LISTED = frozenset({Dialect.MCP, Dialect.ROS2, Dialect.JSON})
 _SPACE = " \t\r\n"
 _CALL = re.compile(r"[ \t\r\n]*[A-Za-z_][A-Za-z0-9_]*\(")
 _CODE = re.compile(r"[ \t\r\n]*(?:#|[A-Za-z_][A-Za-z0-9_.]*\()")
+_DOTTED = re.compile(r"[ \t\r\n]*\[[ \t\r\n]*[A-Za-z_][A-Za-z0-9_.]*\(")
+_QUOTED = re.compile(r"[=\"']")
 _SINGLE = re.compile(r"[ \t\r\n]*\{[ \t\r\n]*'")
 #: How the languages of a fence are called that hold calls of Python.
 _PYTHON = frozenset({"python", "py", "tool_code"})
@@ -188,8 +190,10 @@ def _recognized(text: str, form: ReplyForm | None) -> PlanReading:
     first = text.lstrip(_SPACE)[:1]
     if first not in {"{", "["}:
         return _of_words(text)
-    if first == "[" and LIST.match(text):
-        readers = (Dialect.SPINE, Dialect.PYTHONIC)
+    if first == "[" and (LIST.match(text) or _DOTTED.match(text)):
+        readers = [Dialect.SPINE, Dialect.PYTHONIC]
+        if _QUOTED.search(text):  # its refusal is the one to show
+            readers.reverse()
         return _agreed([partial(read, text, dialect) for dialect in readers])
     if first == "{" and _SINGLE.match(text):
         return read(text, Dialect.BADROBOT)
