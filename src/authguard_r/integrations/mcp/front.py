@@ -25,6 +25,7 @@ from authguard_r.integrations.mcp.answers import answer_of, texts_of
 from authguard_r.integrations.mcp.pins import Pins
 from authguard_r.integrations.mcp.turns import Turns
 from authguard_r.integrations.mcp.unreadable import UNREADABLE
+from authguard_r.integrations.tools.call_schema import narrowed
 from authguard_r.integrations.tools.planner import CallOutcome, LostError, ToolPlanner
 from authguard_r.normalize.binding import Binding, ways_of
 from authguard_r.site.model import Site
@@ -43,9 +44,17 @@ def shown(pins: Pins, binding: Binding, site: Site) -> list[types.Tool]:
     """Return the tools that a planner is shown: bound ones, of which some way may be granted.
 
     A tool that could change the robot's own belief, in any way of calling it, is hidden. What its
-    server says of its harmlessness is left out.
+    server says of its harmlessness is left out. Its arguments are narrowed to what the binding reads.
     """
-    return [tool for tool in tools_of(pins) if fate(tool.name, binding, site).startswith("shown")]
+    return [
+        types.Tool(
+            name=pin.name,
+            description=pin.description,
+            input_schema=narrowed(pin.schema, pin.name, binding, site),
+        )
+        for pin in pins.tools
+        if fate(pin.name, binding, site).startswith("shown")
+    ]
 
 
 def tools_of(pins: Pins) -> list[types.Tool]:
@@ -206,7 +215,7 @@ def answered(asked: CallOutcome) -> types.CallToolResult:
     outcome = asked.execution
     verdict = {**asked.verdict, "execution": outcome, "repeated": asked.repeated}
     if outcome is None:
-        return refused(verdict, "refused: " + ", ".join(asked.step["reasons"]))
+        return refused(verdict, asked.refusal)
     if asked.results:
         try:
             answer = answer_of(asked.result())
