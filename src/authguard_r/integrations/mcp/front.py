@@ -28,6 +28,7 @@ from authguard_r.integrations.mcp.unreadable import UNREADABLE
 from authguard_r.integrations.tools.call_schema import narrowed
 from authguard_r.integrations.tools.planner import CallOutcome, LostError, ToolPlanner
 from authguard_r.normalize.binding import Binding, ways_of
+from authguard_r.normalize.dialects import Call
 from authguard_r.site.model import Site
 
 #: Where a client names its proposal, so that asking again is the same one.
@@ -44,7 +45,7 @@ def shown(pins: Pins, binding: Binding, site: Site) -> list[types.Tool]:
     """Return the tools that a planner is shown: bound ones, of which some way may be granted.
 
     A tool that could change the robot's own belief, in any way of calling it, is hidden. What its
-    server says of its harmlessness is left out. Its arguments are narrowed to what the binding reads.
+    server says of its harmlessness is left out. The schema is narrowed to what the binding reads.
     """
     return [
         types.Tool(
@@ -82,6 +83,7 @@ class Front:
     Args:
         planner: proposes to the gate.
         tools: returns what is shown now.
+        made: returns the call that was made for a release's ticket.
         unguarded: calls a tool as the planner wrote it; for a gate in shadow mode, which releases
             nothing and only says what it would have done. None: nothing is called from here.
     """
@@ -90,10 +92,12 @@ class Front:
         self,
         planner: ToolPlanner,
         tools: Callable[[], list[types.Tool]],
+        made: Callable[[str | None], Call | None],
         unguarded: Unguarded | None = None,
     ) -> None:
         self._planner = planner
         self._tools = tools
+        self._made = made
         self._unguarded = unguarded
         self._turns = Turns()
         self._waiting = 0
@@ -147,7 +151,9 @@ class Front:
         except AuthGuardError as error:
             return undecided(error), None
         waits = asked.execution is None and asked.step["outcome"] == "request_approval"
-        return answered(asked), asked.step.get("required_approvals", 0) if waits else None
+        return answered(asked, self._made(asked.ticket)), asked.step.get(
+            "required_approvals", 0
+        ) if waits else None
 
     async def _beside(
         self, tool: str, arguments: dict[str, Any], asked: CallOutcome
@@ -210,10 +216,17 @@ def size_of(arguments: dict[str, Any]) -> int:
         raise MalformedError("not JSON", where="arguments") from error
 
 
-def answered(asked: CallOutcome) -> types.CallToolResult:
-    """Return what a planner sees of its call."""
+def answered(asked: CallOutcome, made: Call | None = None) -> types.CallToolResult:
+    """Return what a planner sees of its call.
+
+    Args:
+        asked: how it went.
+        made: what was called: a place may have become its approach point, a number a rounded one.
+    """
     outcome = asked.execution
     verdict = {**asked.verdict, "execution": outcome, "repeated": asked.repeated}
+    if made is not None:
+        verdict["dispatched"] = {"tool": made.tool, "arguments": made.arguments}
     if outcome is None:
         return refused(verdict, asked.refusal)
     if asked.results:

@@ -60,7 +60,10 @@ class Gateway:
         )
         self._ends = Ends(setup, self.upstream, log)
         self.front = Front(
-            self._ends.planner, self._tools, self._unguarded if setup.shadow else None
+            self._ends.planner,
+            self._tools,
+            self._ends.call_of,
+            self._unguarded if setup.shadow else None,
         )
 
     @asynccontextmanager

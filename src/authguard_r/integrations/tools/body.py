@@ -138,6 +138,12 @@ class ToolBody:
         self._is_stopping = False
         self._is_over = False
         self._task: asyncio.Task[None] | None = None
+        self._made_call: tuple[Digest, Call] | None = None
+
+    def call_of(self, ticket: str | None) -> Call | None:
+        """Return the call that was made for a release, while it is the last one; else None."""
+        known = self._made_call
+        return known[1] if known is not None and known[0] == ticket else None
 
     @property
     def stands(self) -> bool:
@@ -232,6 +238,7 @@ class ToolBody:
         try:
             wanted = self._means.binder.expected(call)
             made = Call(call.tool, json.loads(call_bytes(call))["arguments"], call.where)
+            self._made_call = (ticket, made)
             answer, done = await self._made(made, wanted, LONGEST_S, ticket)
         except CallError as error:
             if not error.sent:

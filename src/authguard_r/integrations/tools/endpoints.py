@@ -113,6 +113,10 @@ class Ends:
             speaks=speaks,
         )
 
+    def call_of(self, ticket: str | None) -> Call | None:
+        """Return the call that was made for a release, while it is the last one; else None."""
+        return self._body.call_of(ticket)
+
     def look(self) -> None:
         """Look at the server now: something of it has come, gone or ended."""
         self._driver.look()

@@ -10,7 +10,7 @@ from typing import Any
 
 from msgspec import Struct
 
-from authguard_r.normalize.dialects.call import Call, expect, expect_fields, items_of
+from authguard_r.normalize.dialects.call import Call, expect, expect_fields, items_of, numbered
 from authguard_r.normalize.parse import read_calls
 
 
@@ -63,7 +63,15 @@ def _bare_call(item: Any, where: str) -> Call:
 def _call(call: dict[str, Any], tool: str, arguments: str, where: str) -> Call:
     expect_fields(call, {tool, arguments}, where)
     name = expect(call.get(tool), str, f"{where}.{tool}")
-    return Call(name, expect(call.get(arguments), dict, f"{where}.{arguments}"), where)
+    return Call(name, _arguments(call.get(arguments), f"{where}.{arguments}"), where)
+
+
+def _arguments(value: Any, where: str) -> dict[str, Any]:
+    """Return arguments by name; those of a list by their positions."""
+    found: dict[str, Any] = (
+        numbered(value) if isinstance(value, list) else expect(value, dict, where)
+    )
+    return found
 
 
 def read_declared(value: Any, form: ReplyForm) -> tuple[Call, ...]:
@@ -94,7 +102,7 @@ def _declared_call(item: dict[str, Any], form: ReplyForm, where: str) -> Call:
         return Call(name, {k: v for k, v in item.items() if k not in beside}, where)
     expect_fields(item, {form.tool, form.arguments, *form.text}, where)
     place = f"{where}.{form.arguments}"
-    return Call(name, expect(item.get(form.arguments), dict, place), place)
+    return Call(name, _arguments(item.get(form.arguments), place), place)
 
 
 def _expect_texts(item: dict[str, Any], form: ReplyForm, where: str) -> None:
