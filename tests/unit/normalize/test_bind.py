@@ -25,7 +25,7 @@ from authguard_r.site.model import Parameter, Rounding
 from fixtures import scenarios
 from fixtures.amount import amount
 from fixtures.cases import case
-from unit.normalize.dialogue import WRITERS, Call, as_json, binder, place, read, refused
+from unit.normalize.dialogue import WRITERS, Call, as_json, binder, name_place, place, read, refused
 
 GO = ("navigate_to", {"destination": "Dock"})
 SCAN: Call = ("scan", {})
@@ -238,7 +238,8 @@ def test_a_call_with_one_fault_is_refused_in_its_place_and_without_it_is_not() -
         for dialect in WRITERS:
             with case(name, dialect):
                 write = WRITERS[dialect]
-                refused(write(bad), reason, place(dialect, 0, bad) + field, dialect)
+                at = name_place if reason is Reason.TOOL_UNKNOWN else place
+                refused(write(bad), reason, at(dialect, 0, bad) + field, dialect)
                 assert len(read(write(good), dialect).steps) == 1
 
 
@@ -248,9 +249,8 @@ def test_one_bad_call_refuses_the_whole_plan() -> None:
         for dialect in WRITERS:
             with case(name, dialect):
                 calls = (good, bad, good)
-                refused(
-                    WRITERS[dialect](*calls), reason, place(dialect, 1, *calls) + field, dialect
-                )
+                at = name_place if reason is Reason.TOOL_UNKNOWN else place
+                refused(WRITERS[dialect](*calls), reason, at(dialect, 1, *calls) + field, dialect)
 
 
 def test_every_reason_of_the_binder_has_a_vector_here() -> None:

@@ -146,7 +146,7 @@ ONE = {"tool": "go", "arguments": {"to": "Dock"}}
 )
 def test_the_forms_of_json_and_where_each_call_stands(plan: Any, where: list[str]) -> None:
     calls = read_plan(json.dumps(plan), Dialect.JSON)
-    assert calls == tuple(Call("go", {"to": "Dock"}, place) for place in where)
+    assert calls == tuple(Call("go", {"to": "Dock"}, place, f"{place}.tool") for place in where)
 
 
 def test_json_that_is_no_plan_is_refused_in_its_place() -> None:
@@ -219,7 +219,8 @@ def test_a_finished_reply_is_read_whatever_the_model_says_beside_it(finish: str)
     whole["choices"][0]["finish_reason"] = finish
     whole["choices"][0]["message"]["content"] = "go(to='Office 1'); ignore the rules"
     found = read_plan(json.dumps(whole), Dialect.AUTO)
-    assert found == (Call("go", {"to": "Dock", "speed": 1}, ARGUMENTS),)
+    name = ARGUMENTS.replace("arguments", "name")
+    assert found == (Call("go", {"to": "Dock", "speed": 1}, ARGUMENTS, name),)
 
 
 def test_numbers_inside_arguments_stay_exact() -> None:

@@ -58,11 +58,13 @@ class Call(Struct, frozen=True):
         arguments: by external name, possibly nested; positional ones are called `1`, `2`, ...
             Numbers are `int` or exact `Decimal`, never floats. Untrusted.
         where: the place in the planner's text, for messages.
+        named: the place of the tool's name, where it is another one.
     """
 
     tool: str
     arguments: dict[str, Any]
     where: str
+    named: str = ""
 
 
 def expect(value: Any, kind: type[Any], where: str) -> Any:
@@ -121,9 +123,9 @@ def call_of(item: dict[str, Any], tool: str, arguments: str, where: str) -> Call
     Raises:
         MalformedError: one of them is missing or of another kind.
     """
-    name = expect(item.get(tool), str, f"{where}.{tool}")
-    place = f"{where}.{arguments}"
-    return Call(name, expect(item.get(arguments), dict, place), place)
+    named, place = f"{where}.{tool}", f"{where}.{arguments}"
+    name = expect(item.get(tool), str, named)
+    return Call(name, expect(item.get(arguments), dict, place), place, named)
 
 
 def spelled(item: dict[str, Any], where: str) -> dict[str, Any]:

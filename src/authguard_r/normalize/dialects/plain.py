@@ -62,8 +62,9 @@ def _bare_call(item: Any, where: str) -> Call:
 
 def _call(call: dict[str, Any], tool: str, arguments: str, where: str) -> Call:
     expect_fields(call, {tool, arguments}, where)
-    name = expect(call.get(tool), str, f"{where}.{tool}")
-    return Call(name, _arguments(call.get(arguments), f"{where}.{arguments}"), where)
+    named = f"{where}.{tool}"
+    name = expect(call.get(tool), str, named)
+    return Call(name, _arguments(call.get(arguments), f"{where}.{arguments}"), where, named)
 
 
 def _arguments(value: Any, where: str) -> dict[str, Any]:
@@ -95,14 +96,15 @@ def read_declared(value: Any, form: ReplyForm) -> tuple[Call, ...]:
 
 
 def _declared_call(item: dict[str, Any], form: ReplyForm, where: str) -> Call:
-    name = expect(item.get(form.tool), str, f"{where}.{form.tool}")
+    named = f"{where}.{form.tool}"
+    name = expect(item.get(form.tool), str, named)
     _expect_texts(item, form, where)
     if not form.arguments:
         beside = {form.tool, *form.text}
-        return Call(name, {k: v for k, v in item.items() if k not in beside}, where)
+        return Call(name, {k: v for k, v in item.items() if k not in beside}, where, named)
     expect_fields(item, {form.tool, form.arguments, *form.text}, where)
     place = f"{where}.{form.arguments}"
-    return Call(name, _arguments(item.get(form.arguments), place), place)
+    return Call(name, _arguments(item.get(form.arguments), place), place, named)
 
 
 def _expect_texts(item: dict[str, Any], form: ReplyForm, where: str) -> None:

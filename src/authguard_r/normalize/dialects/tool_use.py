@@ -62,8 +62,9 @@ def _openai_call(call: dict[str, Any], where: str) -> Call:
     if call.get("type") not in {None, "function"}:
         raise MalformedError("expected a call of type `function`", where=f"{where}.type")
     function = expect(call.get("function"), dict, f"{where}.function")
-    name = expect(function.get("name"), str, f"{where}.function.name")
-    return Call(name, spelled(function, f"{where}.function"), f"{where}.function.arguments")
+    place = f"{where}.function"
+    name = expect(function.get("name"), str, f"{place}.name")
+    return Call(name, spelled(function, place), f"{place}.arguments", f"{place}.name")
 
 
 def read_responses(value: Any) -> tuple[Call, ...]:
@@ -94,7 +95,7 @@ def _response_calls(output: Any) -> Iterator[Call]:
         if item.get("status") is not None:
             require_finished(item, "status", {"completed"}, f"{where}.")
         name = expect(item.get("name"), str, f"{where}.name")
-        yield Call(name, spelled(item, where), f"{where}.arguments")
+        yield Call(name, spelled(item, where), f"{where}.arguments", f"{where}.name")
 
 
 def read_anthropic(value: Any) -> tuple[Call, ...]:
@@ -164,6 +165,4 @@ def _mcp_call(item: Any, where: str) -> Call:
     expect_fields(params, {"name", "arguments", "_meta"}, f"{where}.params")
     meta = expect(params.get("_meta", {}), dict, f"{where}.params._meta")
     expect_fields(meta, {"progressToken"}, f"{where}.params._meta")  # where a client hears of it
-    name = expect(params.get("name"), str, f"{where}.params.name")
-    place = f"{where}.params.arguments"
-    return Call(name, expect(params.get("arguments", {}), dict, place), place)
+    return call_of({"arguments": {}, **params}, "name", "arguments", f"{where}.params")
