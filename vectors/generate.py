@@ -69,4 +69,5 @@ def write(path: Path, content: Json) -> None:
 
 if __name__ == "__main__":
     main(Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "vectors")
-    write_pages(Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "docs" / "reference")
+    if len(sys.argv) == 1:
+        write_pages(ROOT / "docs" / "reference")
