@@ -240,7 +240,7 @@ def test_a_row_whose_tests_do_not_reach_its_code_would_be_seen(
         # through a package
         ("src/authguard_reference/deviation.py", "tests/unit/core/test_edges.py"),
         # as a command in this process, as one in another process, and as a program's text
-        ("src/authguard_r/cli/demo.py", "tests/cli/test_cli.py"),
+        ("src/authguard_r/cli/demo_story.py", "tests/cli/test_cli.py"),
         ("src/authguard_r/server/process.py", "tests/integration/test_gate_watching.py"),
         (f"{ATTACKS}/tables.py", "tests/cli/test_missionpair.py"),
     ],

@@ -9,7 +9,6 @@ from typing import Annotated, TypeVar
 
 import typer
 
-from authguard_r.authoring.compile.answers import read_answer
 from authguard_r.core.errors import ClarificationError, MalformedError, shown
 from authguard_r.wire.output import printed
 
@@ -78,6 +77,8 @@ def prompt(asked: ClarificationError) -> object:
     Raises:
         typer.Abort: standard input ended.
     """
+    from authguard_r.authoring.compile.answers import read_answer
+
     typer.echo(shown(f"{asked.question} ({asked.field})"), err=True)
     for number, candidate in enumerate(asked.candidates, 1):
         typer.echo(shown(f"  {number}) {candidate}"), err=True)

@@ -4,11 +4,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from authguard_r.authoring.compile.request import card
 from authguard_r.cli.gateway import (
     GateOption,
     ProofOption,
@@ -20,10 +19,10 @@ from authguard_r.cli.inputs import JsonFlag
 from authguard_r.cli.log_explain import DraftOption, explained, write_change
 from authguard_r.cli.log_reading import strange
 from authguard_r.cli.status_lines import has_requests
-from authguard_r.client import GateClient
-from authguard_r.client.approvals import shown
-from authguard_r.store.sqlite import read_rows
 from authguard_r.wire.output import emit
+
+if TYPE_CHECKING:  # loaded when a gate is asked
+    from authguard_r.client import GateClient
 
 
 def explain_command(
@@ -50,6 +49,8 @@ def explain_command(
     if store is not None:
         if gate is not None:
             raise typer.BadParameter("not together with --gate", param_hint="--store")
+        from authguard_r.store.sqlite import read_rows
+
         with strange():
             told = explained(read_rows(store), seq)
     else:
@@ -65,6 +66,9 @@ def explain_command(
 
 def _newest_request(client: GateClient) -> dict[str, Any] | None:
     """Return the newest open approval request in words; None: a later proposal was refused."""
+    from authguard_r.authoring.compile.request import card
+    from authguard_r.client.approvals import shown
+
     status = client.status()
     open_ = [q for q in client.approvals() if not q.denied] if has_requests(status) else []
     if not open_:

@@ -8,13 +8,12 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Protocol, TypeVar
 
 import msgspec
 import typer
 from msgspec import Struct
 
-from authguard_r.client import GateClient
 from authguard_r.core.errors import (
     AuthenticityError,
     EnvironmentFault,
@@ -24,9 +23,11 @@ from authguard_r.core.errors import (
 from authguard_r.core.identifiers import Count, RobotId
 from authguard_r.core.reasons import Reason
 from authguard_r.core.standing import Standing
-from authguard_r.enforcement.templates import TemplateStanding
-from authguard_r.keys.trust import read_file, read_trust
 from authguard_r.wire.messages import ClientRole
+
+if TYPE_CHECKING:  # loaded when a gate is asked
+    from authguard_r.client import GateClient
+    from authguard_r.enforcement.templates import TemplateStanding
 
 T = TypeVar("T")
 
@@ -138,6 +139,8 @@ class Remote:
 
     def template(self, token: bytes, *, confirmation: bytes | None = None) -> TemplateStanding:
         """Take in a signed template, or withdraw one."""
+        from authguard_r.enforcement.templates import TemplateStanding
+
         said = self._client.template(token, confirmation=confirmation)
         return _as(TemplateStanding, said)
 
@@ -200,6 +203,8 @@ def connect_as(path: Path, roles: Iterable[ClientRole]) -> GateClient:
     Raises:
         AuthGuardError: no gate answers, or this user has none of the roles.
     """
+    from authguard_r.client import GateClient
+
     tried: list[str] = []
     for role in roles:
         try:
@@ -227,6 +232,9 @@ def connected(
         trust: with it, the gate has to prove that it is one of this root's.
         name: which socket.
     """
+    from authguard_r.client import GateClient
+    from authguard_r.keys.trust import read_trust
+
     with GateClient.connect(
         socket_in(run, name),
         role=ClientRole(role),
@@ -256,6 +264,9 @@ def running_gate(store: Path, trust: Path, rid: RobotId) -> Iterator[Remote | No
 
 def _connect(path: Path, trust: Path, rid: RobotId) -> GateClient | None:
     """Return the client, or None when no process listens there."""
+    from authguard_r.client import GateClient
+    from authguard_r.keys.trust import read_trust
+
     try:
         return GateClient.connect(
             path, role=ClientRole.OPERATOR, client=CLIENT, verifier=read_trust(trust), robot=rid
@@ -290,6 +301,8 @@ def told_of(beside: GateAddress | None, store: Path, *, tried: bool = False) -> 
 
 def beside_store(store: Path) -> GateAddress | None:
     """Return what a gate wrote beside its store."""
+    from authguard_r.keys.trust import read_file
+
     path = store.with_name(f"{store.name}.gate")
     if not path.is_file():
         return None

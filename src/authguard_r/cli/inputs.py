@@ -7,13 +7,11 @@ import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 import typer
 
-from authguard_r.access.files import trusted_site
-from authguard_r.approvals.organization import VerifiedPolicy, open_policy
 from authguard_r.cli.file_kinds import TOKEN, expecting
 from authguard_r.core.action import Action
 from authguard_r.core.encoding import Tag
@@ -22,20 +20,14 @@ from authguard_r.core.facts import SiteFacts
 from authguard_r.core.identifiers import RobotId, Timestamp
 from authguard_r.core.quantities import Now, to_ms
 from authguard_r.core.reasons import Reason
-from authguard_r.core.state import AttestedState, Snapshot, attest
-from authguard_r.core.token import VerifiedMission, open_token, read_token, verify_mission
-from authguard_r.enforcement.inputs import ESTIMATOR_ROLES, ISSUER_ROLES
-from authguard_r.keys.trust import Trust, read_file, read_trust
-from authguard_r.normalize.parse import read_json
-from authguard_r.provenance.context import ContextLedger
-from authguard_r.site.model import Site, facts_of
-from authguard_r.site.signed import is_token, read_claimed_site
-from authguard_r.site.source import (
-    as_text,
-    convert,
-    parse_site,
-    require_sound,
-)
+
+if TYPE_CHECKING:  # loaded by the functions that read such a file
+    from authguard_r.approvals.organization import VerifiedPolicy
+    from authguard_r.core.state import AttestedState
+    from authguard_r.core.token import VerifiedMission
+    from authguard_r.keys.trust import Trust
+    from authguard_r.provenance.context import ContextLedger
+    from authguard_r.site.model import Site
 
 #: Most bytes of a context file: a day of captions, and no more than memory easily holds.
 MAX_CONTEXT = 1 << 24
@@ -51,6 +43,7 @@ TrustOption = Annotated[
     Path,
     typer.Option("--trust", envvar="AUTHGUARD_TRUST", help="The trust folder (`keys init`)."),
 ]
+TokenArgument = Annotated[Path, typer.Argument(help="A signed mission.")]
 TokenOption = Annotated[Path, typer.Option("--token", help="A signed mission.")]
 BindingOption = Annotated[
     Path,
@@ -86,6 +79,10 @@ def wall_now(text: str | None) -> Now:
 
 def read_mission(path: Path, trust: Trust, now: Now) -> VerifiedMission:
     """Return the mission in a token file after steps 1 to 3."""
+    from authguard_r.core.token import verify_mission
+    from authguard_r.enforcement.inputs import ISSUER_ROLES
+    from authguard_r.keys.trust import read_file
+
     data = read_file(path)
     with expecting(path, data, TOKEN):
         return verify_mission(data, verifier=trust, now=now, roles=ISSUER_ROLES)
@@ -98,6 +95,9 @@ def read_risk_policy(path: Path | None, trust: Trust, now: Now) -> VerifiedPolic
         MalformedError: no canonical policy, or one that is not sound.
         AuthenticityError: certificate, signature or role does not hold.
     """
+    from authguard_r.approvals.organization import open_policy
+    from authguard_r.keys.trust import read_file
+
     return None if path is None else open_policy(read_file(path), verifier=trust, now=now)
 
 
@@ -108,6 +108,7 @@ def gate_facts(folder: Path, trust: Trust, site: Site, *, now: Now, robot: str |
         EnvironmentFault: the folder has no gate, or several and none was named.
     """
     from authguard_r.keys.signer import folder_signer
+    from authguard_r.site.model import facts_of
 
     names = sorted(
         path.name.removesuffix(".cert.pem") for path in folder.glob("keys/gate-*.cert.pem")
@@ -171,6 +172,12 @@ def read_state(data: bytes, *, facts: SiteFacts, trust: Trust, now: Now) -> Atte
         MalformedError: neither.
         AuthenticityError: a snapshot token whose signature does not hold.
     """
+    from authguard_r.core.state import Snapshot, attest
+    from authguard_r.core.token import open_token, read_token
+    from authguard_r.enforcement.inputs import ESTIMATOR_ROLES
+    from authguard_r.normalize.parse import read_json
+    from authguard_r.site.source import convert
+
     if b'"endorsements"' in data:
         read_token(data)
         snapshot, _, _ = open_token(
@@ -188,6 +195,8 @@ def read_action(plain: Any) -> Action:
     Raises:
         MalformedError: with the place.
     """
+    from authguard_r.site.source import convert
+
     if not isinstance(plain, dict):
         raise MalformedError("expected an object", where="action")
     claims = {"provenance", "meta"}
@@ -208,6 +217,8 @@ def read_context(
     Raises:
         MalformedError: with the line; the file or a text is too long (`INPUT_TOO_LARGE`).
     """
+    from authguard_r.provenance.context import ContextLedger
+
     ledger = ContextLedger(spellings, channels=channels)
     for number, line in enumerate(_lines(path), 1):
         if line.strip():
@@ -217,6 +228,8 @@ def read_context(
 
 def _lines(path: Path | None) -> list[str]:
     """Return the lines of a context file."""
+    from authguard_r.keys.trust import read_file
+
     if path is None:
         return []
     data = read_file(path)
@@ -230,6 +243,8 @@ def _lines(path: Path | None) -> list[str]:
 
 
 def _add_line(ledger: ContextLedger, line: str, *, where: str) -> None:
+    from authguard_r.normalize.parse import read_json
+
     item = read_json(line, where=where)
     if (
         not isinstance(item, dict)
@@ -260,6 +275,8 @@ def text_of(data: bytes, where: str) -> str:
 
 def read_input(path: Path) -> bytes:
     """Return a file's bytes, or standard input's for `-`."""
+    from authguard_r.keys.trust import read_file
+
     return sys.stdin.buffer.read() if str(path) == "-" else read_file(path)
 
 
@@ -277,6 +294,10 @@ def load_site(path: Path, trust: Path | Trust | None = None, now: Now | None = N
         MalformedError: no site model, or one with faults.
         AuthenticityError: the signature is not valid, or a required signature is missing.
     """
+    from authguard_r.access.files import trusted_site
+    from authguard_r.keys.trust import read_trust
+    from authguard_r.site.source import require_sound
+
     if trust is None:
         return require_sound(claimed_site(path), where=str(path))
     anchor = read_trust(trust) if isinstance(trust, Path) else trust
@@ -285,6 +306,10 @@ def load_site(path: Path, trust: Path | Trust | None = None, now: Now | None = N
 
 def claimed_site(path: Path) -> Site:
     """Return the site model in a YAML file or a token, sound or not, and authentic or not."""
+    from authguard_r.keys.trust import read_file
+    from authguard_r.site.signed import is_token, read_claimed_site
+    from authguard_r.site.source import as_text, parse_site
+
     data = read_file(path)
     if is_token(data):
         return read_claimed_site(data)

@@ -33,7 +33,6 @@ from authguard_r.cli.signing_key import (
     open_keys,
     open_signer,
 )
-from authguard_r.cli.templates import read_template, template_digest
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.identifiers import Digest, PrincipalId, RegionId, RobotId, is_identifier
 from authguard_r.core.reasons import Reason
@@ -117,7 +116,7 @@ def request_command(
         regions=tuple(sorted(map(RegionId, set(region or ())))),
         every_region=every_region,
         profile=_profile(role, robot or [], site),
-        template=None if template is None else template_digest(read_template(template)),
+        template=None if template is None else _template(template),
     )
     if key is not None:
         held = open_keys(key, passphrase_file)
@@ -125,6 +124,12 @@ def request_command(
             out / f"{principal}{REQUEST_END}", key, make_request(wanted, held), as_json=as_json
         )
     return _ask(out, principal, wanted, chosen(algorithm), before=None, as_json=as_json)
+
+
+def _template(path: Path) -> Digest:
+    from authguard_r.cli.templates import read_template, template_digest
+
+    return template_digest(read_template(path))
 
 
 def _require_scope(

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct
 
@@ -14,11 +14,13 @@ from authguard_r.anchoring.checkpoints import CHECKPOINT, NEWEST, WITNESSED
 from authguard_r.audit.record import LogRow
 from authguard_r.auditor.export_format import exported_note, exported_rows, is_export
 from authguard_r.cli.gateway import GateAddress, beside_store, connect_as, told_of
-from authguard_r.client import GateClient
 from authguard_r.core.encoding import encode, unb64
 from authguard_r.core.errors import EnvironmentFault, MalformedError
 from authguard_r.store.sqlite import read_held, read_rows
 from authguard_r.wire.messages import ClientRole
+
+if TYPE_CHECKING:  # loaded when a gate is asked
+    from authguard_r.client import GateClient
 
 #: Records that are asked for at a time.
 _PAGE = 1_000

@@ -24,6 +24,7 @@ from authguard_r.cli.inputs import (
     NowOption,
     RiskPolicyOption,
     SiteOption,
+    TokenArgument,
     TrustOption,
     load_site,
     read_mission,
@@ -42,7 +43,6 @@ from authguard_r.site.source import read_text, read_yaml
 from authguard_r.wire.output import emit
 
 MissionArgument = Annotated[Path, typer.Argument(help="A mission as `compile` wrote it.")]
-TokenArgument = Annotated[Path, typer.Argument(help="A signed mission.")]
 
 
 def compile_command(

@@ -6,22 +6,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from msgspec import Struct
 
-from authguard_r.anchoring.anchor import KIND, KNOWN, known_number
-from authguard_r.anchoring.counter import Counter, FileCounter
-from authguard_r.anchoring.evidence import SAID, Discrepancy
 from authguard_r.cli.gateway import beside_store, told_of
 from authguard_r.cli.inputs import gate_robot, load_site
 from authguard_r.core.errors import EnvironmentFault
 from authguard_r.core.reasons import Reason
-from authguard_r.operations.checkup.apart import Files, apart_advice
-from authguard_r.operations.offline import offline_gate
-from authguard_r.server.wiring import Gate
-from authguard_r.store.sqlite import read_held
+
+if TYPE_CHECKING:  # loaded when a store is opened
+    from authguard_r.anchoring.counter import Counter
+    from authguard_r.server.wiring import Gate
 
 CounterOption = Annotated[
     Path | None,
@@ -58,6 +55,8 @@ def offline(place: OfflineStore) -> Iterator[Gate]:
         EnvironmentFault: there is no such store; or as `counter_of`.
         StoreError: the store cannot be used; a gate that holds it is named.
     """
+    from authguard_r.operations.offline import offline_gate
+
     site, rid = load_site(place.site, place.trust), gate_robot(place.trust, place.robot)
     is_there = place.store.is_file() and place.store.stat().st_size > 0
     if not (place.new or is_there):
@@ -86,6 +85,12 @@ def counter_of(store: Path, counter: Path | None) -> Counter | None:
         EnvironmentFault: the store was counted and none was named, which says of the person at
             the keyboard more than of the store; or the counter's file is the store's.
     """
+    from authguard_r.anchoring.anchor import KIND, KNOWN, known_number
+    from authguard_r.anchoring.counter import FileCounter
+    from authguard_r.anchoring.evidence import SAID, Discrepancy
+    from authguard_r.operations.checkup.apart import Files, apart_advice
+    from authguard_r.store.sqlite import read_held
+
     if counter is None:
         used = store.is_file() and store.stat().st_size > 0  # an empty file is a new store
         if used and known_number(read_held(store, KIND, KNOWN)) is not None:

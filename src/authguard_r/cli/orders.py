@@ -20,13 +20,13 @@ from authguard_r.cli.gateway import Orders, Remote, running_gate
 from authguard_r.cli.inputs import (
     JsonFlag,
     SiteOption,
+    TokenArgument,
     TrustOption,
     gate_robot,
     load_site,
     read_mission,
     wall_now,
 )
-from authguard_r.cli.mission import TokenArgument
 from authguard_r.cli.mission_files import beside_token, warn
 from authguard_r.cli.offline import CounterOption, NewOption, OfflineStore, offline
 from authguard_r.cli.signing_key import CertOption, OrderKeyOption, PassphraseFile, signer_of
@@ -36,7 +36,6 @@ from authguard_r.core.lifecycle import Status
 from authguard_r.core.mission import Mission
 from authguard_r.core.standing import Outcome, Standing
 from authguard_r.core.token import VerifiedMission, read_token, sign_object
-from authguard_r.enforcement.inputs import ISSUER_ROLES
 from authguard_r.enforcement.signed_orders import Command, Verb
 from authguard_r.enforcement.templates import instantiate, open_template
 from authguard_r.keys.signer import FileSigner
@@ -307,6 +306,8 @@ def managed(place: OfflineStore, act: Callable[[Orders], T]) -> tuple[T, bool]:
 
 def opened_mission(token: Path, trust: Path, template: Path | None) -> VerifiedMission:
     """Return the mission that an order is about: signed itself, or made of a template."""
+    from authguard_r.enforcement.inputs import ISSUER_ROLES
+
     anchor, at = read_trust(trust), wall_now(None)
     data = read_file(token)
     with expecting(token, data, TOKEN):

@@ -12,8 +12,14 @@ import typer
 
 from authguard_r.authoring.compile.questions import CompileQuestions
 from authguard_r.cli.ask import confirm_shown
-from authguard_r.cli.inputs import JsonFlag, SiteOption, TrustOption, load_site, wall_now
-from authguard_r.cli.mission import TokenArgument
+from authguard_r.cli.inputs import (
+    JsonFlag,
+    SiteOption,
+    TokenArgument,
+    TrustOption,
+    load_site,
+    wall_now,
+)
 from authguard_r.cli.offline import CounterOption, OfflineStore
 from authguard_r.cli.orders import (
     RobotOption,

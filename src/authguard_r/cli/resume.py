@@ -9,8 +9,7 @@ from authguard_r.cli.gateway import (
     Remote,
     connected,
 )
-from authguard_r.cli.inputs import JsonFlag, TrustOption
-from authguard_r.cli.mission import TokenArgument
+from authguard_r.cli.inputs import JsonFlag, TokenArgument, TrustOption
 from authguard_r.cli.orders import (
     TemplateOption,
     opened_mission,

@@ -7,14 +7,11 @@ import sys
 import tempfile
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 import typer
 
-from authguard_r.access.files import read_binding
-from authguard_r.audit.deviation import Weights
-from authguard_r.authoring.compile.sources import given_weights
 from authguard_r.cli.gateway import beside_store, told_of
 from authguard_r.cli.inputs import (
     BindingOption,
@@ -33,37 +30,25 @@ from authguard_r.cli.inputs import (
     wall_now,
 )
 from authguard_r.cli.offline import CounterOption, counter_of
-from authguard_r.cli.out import report_code, report_lines
-from authguard_r.cli.run_approvals import ApproverOption, YesFlag, approvers, next_step
-from authguard_r.cli.run_plan import PlanResult, run_plan
-from authguard_r.core.encoding import Tag, decode, digest, unb64
-from authguard_r.core.identifiers import Identifier, MissionId, ObjectId, RegionId
-from authguard_r.core.lifecycle import Status
-from authguard_r.core.mission import Mission
-from authguard_r.core.quantities import Now
-from authguard_r.core.token import read_token
-from authguard_r.enforcement.json_views import plan_json, report_json
-from authguard_r.enforcement.management.configurations import Configuration, ConfiguredPart
-from authguard_r.keys.trust import read_file, read_trust
-from authguard_r.normalize import Dialect
-from authguard_r.normalize.binding import Binding, binding_digest
-from authguard_r.operations.simulation import Simulation, simulate
-from authguard_r.safety import (
-    SafetyConfig,
-    TemporalGate,
-    default_config,
-    open_config,
-    safety_digest,
-)
-from authguard_r.safety.stored_memory import memory_of
-from authguard_r.server.wiring import sign_terminal
-from authguard_r.sim.robot import Faults
-from authguard_r.sim.state import WorldState
-from authguard_r.sim.world import initial_state
-from authguard_r.site.model import Site
-from authguard_r.store.clocks import store_clock
+from authguard_r.core.identifiers import Identifier, MissionId, ObjectId, RegionId, RobotId
+from authguard_r.normalize.dialects import Dialect
 from authguard_r.wire.output import emit
 
+if TYPE_CHECKING:  # loaded when a plan is run
+    from authguard_r.audit.deviation import Weights
+    from authguard_r.cli.run_plan import PlanResult
+    from authguard_r.core.quantities import Now
+    from authguard_r.normalize.binding import Binding
+    from authguard_r.operations.simulation import Simulation
+    from authguard_r.safety import SafetyConfig
+    from authguard_r.sim.state import WorldState
+    from authguard_r.site.model import Site
+
+_ApproverOption = Annotated[
+    list[Path] | None,
+    typer.Option("--approver", help="An approver's private key: asks for approval; repeatable."),
+]
+_YesFlag = Annotated[bool, typer.Option("--yes", help="Approve without a question (for scripts).")]
 _PlanOption = Annotated[
     list[Path], typer.Option("--plan", help="Planner output; `-`: standard input; repeatable.")
 ]
@@ -107,11 +92,18 @@ def run_command(
     now: NowOption = None,
     counter: CounterOption = None,
     weight: WeightOption = None,
-    approver: ApproverOption = None,
-    yes: YesFlag = False,
+    approver: _ApproverOption = None,
+    yes: _YesFlag = False,
     as_json: JsonFlag = False,
 ) -> int:
     """Enforce a plan on the simulated robot: decide, check, commit, move, observe, record."""
+    from authguard_r.access.files import read_binding
+    from authguard_r.authoring.compile.sources import given_weights
+    from authguard_r.cli.run_approvals import approvers
+    from authguard_r.cli.run_plan import run_plan
+    from authguard_r.keys.trust import read_file
+    from authguard_r.safety import default_config
+
     instant = wall_now(now)
     people = approvers(approver, yes=yes, as_json=as_json)
     model = load_site(site, trust, instant)
@@ -121,15 +113,15 @@ def run_command(
     path = store or Path(tempfile.mkdtemp(prefix="authguard-")) / "robot.db"
     bound = read_binding(binding, model)
     with told_of(beside_store(path), path):
-        simulation = simulate(
+        simulation = _simulated(
             trust,
             model,
             bound,
             rid=rid,
-            start_ms=max(instant.utc_ms, store_clock(path).wall_ms() if now is None else 0),
+            start=instant if now is not None else None,
             store=path,
             state=_world(model, rid, at, holding),
-            faults=Faults(drift_to=RegionId(drift_to) if drift_to else None),
+            drift_to=drift_to,
             safety=config,
             counter=counter_of(path, counter),
         )
@@ -151,12 +143,50 @@ def run_command(
     return max(_code(run) for run in runs)
 
 
+def _simulated(
+    trust: Path,
+    site: Site,
+    binding: Binding,
+    *,
+    rid: RobotId,
+    start: Now | None,
+    store: Path,
+    drift_to: str | None,
+    **more: Any,
+) -> Simulation:
+    """Return the gate over the symbolic robot; without a start, from the store's time on."""
+    from authguard_r.operations.simulation import simulate
+    from authguard_r.sim.robot import Faults
+    from authguard_r.store.clocks import store_clock
+
+    begun = wall_now(None).utc_ms if start is None else start.utc_ms
+    known = store_clock(store).wall_ms() if start is None else 0
+    faults = Faults(drift_to=RegionId(drift_to) if drift_to else None)
+    return simulate(
+        trust,
+        site,
+        binding,
+        rid=rid,
+        start_ms=max(begun, known),
+        store=store,
+        faults=faults,
+        **more,
+    )
+
+
 def _configured(path: Path, trust: Path, now: Now) -> SafetyConfig:
+    from authguard_r.keys.trust import read_file, read_trust
+    from authguard_r.safety import open_config
+
     return open_config(read_file(path), verifier=read_trust(trust), now=now)
 
 
 def _hold(simulation: Simulation, config: SafetyConfig, binding: Binding) -> None:
     """Hold what is in force against what the store has seen (`server.configurations`)."""
+    from authguard_r.enforcement.management.configurations import Configuration, ConfiguredPart
+    from authguard_r.normalize.binding import binding_digest
+    from authguard_r.safety import safety_digest
+
     parts = {
         ConfiguredPart.BINDING: Configuration(digest=binding_digest(binding)),
         ConfiguredPart.SAFETY: Configuration(digest=safety_digest(config), version=config.version),
@@ -167,6 +197,11 @@ def _hold(simulation: Simulation, config: SafetyConfig, binding: Binding) -> Non
 
 def _activate(simulation: Simulation, token: bytes) -> MissionId:
     """Activate the mission, unless this very version is active already; return which it is."""
+    from authguard_r.core.encoding import Tag, decode, digest, unb64
+    from authguard_r.core.lifecycle import Status
+    from authguard_r.core.mission import Mission
+    from authguard_r.core.token import read_token
+
     management = simulation.gate.management
     payload = unb64(read_token(token).payload, where="token.payload")
     mission = decode(payload, Mission, where="mission")
@@ -181,12 +216,17 @@ def _unfulfilled(
     simulation: Simulation, config: SafetyConfig, mid: MissionId
 ) -> tuple[Identifier, ...]:
     """Return the safety rules that do not hold if the mission ends now."""
+    from authguard_r.safety import TemporalGate
+    from authguard_r.safety.stored_memory import memory_of
+
     gate = simulation.gate
     remembered = partial(memory_of, standing=gate.management.standing(mid))
     return TemporalGate(config, gate.ledger.peek(remembered)).unfulfilled()
 
 
 def _world(site: Site, rid: str, at: str | None, holding: str | None) -> WorldState:
+    from authguard_r.sim.world import initial_state
+
     home = RegionId(at) if at is not None else site.robots[rid].home  # type: ignore[index]
     if home not in site.regions:
         raise typer.BadParameter(f"the site has no region `{home}`", param_hint="--at")
@@ -203,6 +243,9 @@ def _world(site: Site, rid: str, at: str | None, holding: str | None) -> WorldSt
 def _payload(
     simulation: Simulation, runs: list[PlanResult], path: Path, weights: Weights
 ) -> dict[str, Any]:
+    from authguard_r.enforcement.json_views import plan_json, report_json
+    from authguard_r.server.wiring import sign_terminal
+
     terminal = sign_terminal(simulation.gate, simulation.signer)
     anchor = path.with_suffix(".checkpoint")
     anchor.write_bytes(terminal)
@@ -222,6 +265,9 @@ def _payload(
 
 
 def _lines(runs: list[PlanResult], path: Path) -> list[str]:
+    from authguard_r.cli.out import report_lines
+    from authguard_r.cli.run_approvals import next_step
+
     lines: list[str] = []
     for run in runs:
         for report in run.reports:
@@ -236,6 +282,8 @@ def _lines(runs: list[PlanResult], path: Path) -> list[str]:
 
 
 def _code(run: PlanResult) -> int:
+    from authguard_r.cli.out import report_code
+
     codes = [report_code(report) for report in run.reports]
     if run.steps == 0:
         refusal = run.reports[0].refusal

@@ -7,7 +7,6 @@ How-to: docs/howto/approvals.md
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 import typer
 from msgspec import Struct
@@ -23,12 +22,6 @@ from authguard_r.keys.signer import FileSigner
 from authguard_r.operations.simulation import Simulation
 from authguard_r.server.approval_requests import OpenQuestions
 from authguard_r.wire.output import printed
-
-ApproverOption = Annotated[
-    list[Path] | None,
-    typer.Option("--approver", help="An approver's private key: asks for approval; repeatable."),
-]
-YesFlag = Annotated[bool, typer.Option("--yes", help="Approve without a question (for scripts).")]
 
 
 class Approvers(Struct, frozen=True, kw_only=True):

@@ -44,7 +44,6 @@ from authguard_r.core.quantities import Now
 from authguard_r.core.reasons import Reason
 from authguard_r.core.token import sign_object
 from authguard_r.enforcement.confirmation import ConfirmationMode, confirm, confirmation_bytes
-from authguard_r.enforcement.inputs import ISSUER_ROLES
 from authguard_r.keys.files import PRIVATE, write_whole
 from authguard_r.keys.signer import FileSigner
 from authguard_r.wire.output import emit
@@ -192,6 +191,8 @@ def require_issuer(mission: Mission, signer: FileSigner, folder: Path | None) ->
         AuthenticityError: the certificate does not hold under the trust root, or claims nothing.
         RefusedError: its role issues no missions, or it belongs to another person.
     """
+    from authguard_r.enforcement.inputs import ISSUER_ROLES
+
     if folder is None:
         warn("whose key it is was not checked; name the trust folder with --trust")
     principal = require_role(signer, ISSUER_ROLES, folder)

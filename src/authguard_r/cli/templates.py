@@ -62,7 +62,6 @@ from authguard_r.core.encoding import Tag, b64, decode, digest_of
 from authguard_r.core.identifiers import Digest, MissionId
 from authguard_r.core.mission import Mission
 from authguard_r.core.token import sign_object
-from authguard_r.enforcement.inputs import ISSUER_ROLES
 from authguard_r.enforcement.signed_orders import Command, Verb
 from authguard_r.enforcement.templates import (
     Template,
@@ -213,6 +212,8 @@ def issue_command(
     as_json: JsonFlag = False,
 ) -> int:
     """Make a scheduler's key and a certificate that is bound to this template (demonstration)."""
+    from authguard_r.enforcement.inputs import ISSUER_ROLES
+
     at = wall_now(None)
     held = open_template(
         read_file(template), verifier=read_trust(trust), now=at, roles=ISSUER_ROLES

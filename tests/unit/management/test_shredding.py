@@ -406,7 +406,7 @@ def test_what_is_to_be_kept_is_not_destroyed_before(
         mission = ended(sim)
         for classes in ((OBJECT, REGION), (OBJECT,), (PERSON,)):
             told = refused(sim, sealed_logs.shred_order(sim, mission.mid, *classes))
-            assert (told.reason, "kept until" in told.message) == ("NOT_YET_VALID", True)
+            assert (told.reason, "stored until" in told.message) == ("NOT_YET_VALID", True)
         assert (
             refused(sim, sealed_logs.shred_order(sim, mission.mid, REGION)).reason
             == "NOT_YET_VALID"
@@ -591,7 +591,7 @@ def test_a_store_whose_keys_are_told_nowhere_is_corrupt(path: Path) -> None:
             sim.gate.management.shred(sealed_logs.shred_order(sim, mission.mid, REGION))
         assert error.value.reason == "STORE_CORRUPT"
         damaged(sim, b'{"newest":0}', mission.mid)  # which tells no keys
-        with pytest.raises(StoreError, match="tells keys"):
+        with pytest.raises(StoreError, match="names keys"):
             sim.gate.management.shred(sealed_logs.shred_order(sim, mission.mid, REGION))
     store = apsw.Connection(str(path))
     store.execute("DROP TRIGGER audit_only_forgets")

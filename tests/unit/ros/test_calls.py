@@ -136,7 +136,7 @@ def test_velocities_are_a_stream_and_nothing_else_is(yard: Site, kinds: Binding)
     items = yaml.safe_load(MAP)["mediated"]
     with pytest.raises(MalformedError, match="expected a stream"):
         bound(kinds, changed(wheels={**items["wheels"], "kind": "message"}), yard)
-    with pytest.raises(MalformedError, match="velocities for a time"):
+    with pytest.raises(MalformedError, match="velocities and a duration"):
         bound(kinds, changed(lamp={**items["lamp"], "kind": "stream"}), yard)
 
 
