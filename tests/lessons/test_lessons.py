@@ -166,6 +166,23 @@ def test_l11_one_unknown_call_refuses_the_whole_plan() -> None:
     assert caught.value.where.startswith("plan[1]")
 
 
+def test_l31_packaging_is_read_exactly_and_noted_and_never_a_reason_to_refuse() -> None:
+    """What a fence, a tag, a null or empty arguments hold is the same plan as without them."""
+    call = '{"name": "navigate_to", "arguments": {"destination": "Dock", "speed": null}}'
+    bare = read_plan(b'navigate_to(destination="Dock")', binder=BINDER).steps
+    for text, around in [
+        (f"Here it is:\n```json\n{call}\n```", "fence, 11 characters before it"),
+        (f"<tool_call>{call}</tool_call>", "hermes"),
+        (f"[TOOL_CALLS][{call}]", "mistral"),
+        (call, ""),
+    ]:
+        with case(text):
+            (step,) = read_plan(text.encode(), binder=BINDER).steps
+            assert (step.action, step.around) == (bare[0].action, around)
+    empty = '{"role": "assistant", "tool_calls": [{"function": {"name": "scan", "arguments": ""}}]}'
+    assert read_plan(empty.encode(), binder=BINDER).steps[0].action.type == "scan_obstacles"
+
+
 def test_l13_only_the_canonical_bytes_are_the_mission() -> None:
     import json
 
