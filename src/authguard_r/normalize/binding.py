@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
+from collections.abc import Set as AbstractSet
 from decimal import Decimal
 from enum import StrEnum
 from fractions import Fraction
@@ -289,7 +290,10 @@ def _faults(tool: ToolBinding, site: Site) -> Iterator[tuple[str, str]]:
         yield "type", f"expected an action type of the site, got `{tool.type}`"
         return
     also = [name for argument in tool.arguments.values() for name in argument.also]
-    yield from _path_faults([*tool.arguments, *also, *tool.when], "arguments")
+    lists = {
+        name for argument in tool.arguments.values() if argument.each for name in argument.also
+    }
+    yield from _path_faults([*tool.arguments, *also, *tool.when], "arguments", lists)
     for name, argument in tool.arguments.items():
         for place, fault in _argument_faults(argument):
             yield f"arguments.{name}.{place}", fault
@@ -304,14 +308,22 @@ def _faults(tool: ToolBinding, site: Site) -> Iterator[tuple[str, str]]:
     yield from _origin_faults(tool, kind)
 
 
-def _path_faults(paths: list[str], where: str) -> Iterator[tuple[str, str]]:
-    """Each value of a call stands on exactly one path; a list's items are counted from 0."""
+def _path_faults(
+    paths: list[str], where: str, lists: AbstractSet[str] = frozenset()
+) -> Iterator[tuple[str, str]]:
+    """Each value of a call stands on exactly one path; a list's items are counted from 0.
+
+    Args:
+        paths: of one level.
+        where: their place in the binding.
+        lists: those that are another name of a list: an object may stand there too, with paths.
+    """
     split = sorted(tuple(path.split(".")) for path in paths)
     for path in split:
         if not all(path):
             yield f"{where}.{'.'.join(path)}", "expected names between the dots"
     for one, two in pairwise(split):
-        if two[: len(one)] == one:
+        if two[: len(one)] == one and (one == two or ".".join(one) not in lists):
             yield f"{where}.{'.'.join(two)}", f"expected no path within `{'.'.join(one)}`"
     children: dict[tuple[str, ...], set[str]] = {}
     for path in split:
