@@ -58,7 +58,9 @@ class CallOutcome(Struct, frozen=True, kw_only=True):
     @property
     def refusal(self) -> str:
         """What a model reads of a refusal: the reasons, the disclosed places, and what next."""
-        places = [_place_text(finding) for finding in self.step.get("findings") or ()]
+        unread = self.step.get("refusal")  # why nothing was decided: of the call's own text
+        told = [{"field": unread["where"], "expected": unread["message"]}] if unread else ()
+        places = [_place_text(finding) for finding in told or self.step.get("findings") or ()]
         same = "may" if self.step.get("retryable") else "will not"
         said = "refused: " + ", ".join(self.step["reasons"])
         return "\n".join([said, *places, f"the same call {same} pass later"])
