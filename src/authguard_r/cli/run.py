@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import sys
 import tempfile
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -35,7 +36,6 @@ from authguard_r.normalize.dialects import Dialect
 from authguard_r.wire.output import emit
 
 if TYPE_CHECKING:  # loaded when a plan is run
-    from authguard_r.audit.deviation import Weights
     from authguard_r.cli.run_plan import PlanResult
     from authguard_r.core.quantities import Now
     from authguard_r.normalize.binding import Binding
@@ -98,36 +98,30 @@ def run_command(
 ) -> int:
     """Enforce a plan on the simulated robot: decide, check, commit, move, observe, record."""
     from authguard_r.access.files import read_binding
-    from authguard_r.authoring.compile.sources import given_weights
     from authguard_r.cli.run_approvals import approvers
     from authguard_r.cli.run_plan import run_plan
-    from authguard_r.keys.trust import read_file
-    from authguard_r.safety import default_config
 
     instant = wall_now(now)
     people = approvers(approver, yes=yes, as_json=as_json)
     model = load_site(site, trust, instant)
-    named = "--robot" if robot is not None else "--trust"  # whose gate certificate names it
-    rid = require_robot(model, gate_robot(trust, robot), where=named)
+    rid = require_robot(model, gate_robot(trust, robot), where="--robot" if robot else "--trust")
     config = None if safety is None else _configured(safety, trust, instant)
     path = store or Path(tempfile.mkdtemp(prefix="authguard-")) / "robot.db"
-    bound = read_binding(binding, model)
-    with told_of(beside_store(path), path):
-        simulation = _simulated(
-            trust,
-            model,
-            bound,
-            rid=rid,
-            start=instant if now is not None else None,
-            store=path,
-            state=_world(model, rid, at, holding),
-            drift_to=drift_to,
-            safety=config,
-            counter=counter_of(path, counter),
-        )
+    simulation = _simulated(
+        trust,
+        model,
+        read_binding(binding, model),
+        rid=rid,
+        start=instant if now is not None else None,
+        store=path,
+        state=_world(model, rid, at, holding),
+        drift_to=drift_to,
+        safety=config,
+        counter=counter,
+    )
     try:
-        _hold(simulation, config or default_config(model, rid), bound)
-        mid = _activate(simulation, read_file(token))
+        _hold(simulation, config)
+        mid = _activate(simulation, token)
         ledger = read_context(context, simulation.binder.spellings(), channels=model.channels)
         ask = sys.stdin.isatty() and not as_json
         given = partial(
@@ -135,11 +129,10 @@ def run_command(
         )
         runs = [given(simulation, read_input(each)) for each in plan]
         left = () if config is None else _unfulfilled(simulation, config, mid)
-        payload = _payload(simulation, runs, path, given_weights(weight or (), where="--weight"))
+        payload = _payload(simulation, runs, path, weight or ())
     finally:
         simulation.gate.close()
-    open_rules = [f"rule `{rule}` is not satisfied if the mission ends here" for rule in left]
-    emit({**payload, "rules_open": left}, [*open_rules, *_lines(runs, path)], as_json=as_json)
+    emit({**payload, "rules_open": left}, _lines(runs, path, left), as_json=as_json)
     return max(_code(run) for run in runs)
 
 
@@ -152,6 +145,7 @@ def _simulated(
     start: Now | None,
     store: Path,
     drift_to: str | None,
+    counter: Path | None,
     **more: Any,
 ) -> Simulation:
     """Return the gate over the symbolic robot; without a start, from the store's time on."""
@@ -160,18 +154,20 @@ def _simulated(
     from authguard_r.store.clocks import store_clock
 
     begun = wall_now(None).utc_ms if start is None else start.utc_ms
-    known = store_clock(store).wall_ms() if start is None else 0
     faults = Faults(drift_to=RegionId(drift_to) if drift_to else None)
-    return simulate(
-        trust,
-        site,
-        binding,
-        rid=rid,
-        start_ms=max(begun, known),
-        store=store,
-        faults=faults,
-        **more,
-    )
+    with told_of(beside_store(store), store):
+        known = store_clock(store).wall_ms() if start is None else 0
+        return simulate(
+            trust,
+            site,
+            binding,
+            rid=rid,
+            start_ms=max(begun, known),
+            store=store,
+            faults=faults,
+            counter=counter_of(store, counter),
+            **more,
+        )
 
 
 def _configured(path: Path, trust: Path, now: Now) -> SafetyConfig:
@@ -181,28 +177,30 @@ def _configured(path: Path, trust: Path, now: Now) -> SafetyConfig:
     return open_config(read_file(path), verifier=read_trust(trust), now=now)
 
 
-def _hold(simulation: Simulation, config: SafetyConfig, binding: Binding) -> None:
+def _hold(simulation: Simulation, given: SafetyConfig | None) -> None:
     """Hold what is in force against what the store has seen (`server.configurations`)."""
     from authguard_r.enforcement.management.configurations import Configuration, ConfiguredPart
-    from authguard_r.normalize.binding import binding_digest
-    from authguard_r.safety import safety_digest
+    from authguard_r.safety import default_config, safety_digest
 
+    robot = simulation.robot
+    config = given or default_config(robot.site, robot.rid)
     parts = {
-        ConfiguredPart.BINDING: Configuration(digest=binding_digest(binding)),
+        ConfiguredPart.BINDING: Configuration(digest=simulation.binder.digest),
         ConfiguredPart.SAFETY: Configuration(digest=safety_digest(config), version=config.version),
     }
     sealed: dict[ConfiguredPart, dict[str, object]] = {ConfiguredPart.SAFETY: {"safety": config}}
     simulation.gate.management.hold_configurations(parts, sealed=sealed)
 
 
-def _activate(simulation: Simulation, token: bytes) -> MissionId:
+def _activate(simulation: Simulation, path: Path) -> MissionId:
     """Activate the mission, unless this very version is active already; return which it is."""
     from authguard_r.core.encoding import Tag, decode, digest, unb64
     from authguard_r.core.lifecycle import Status
     from authguard_r.core.mission import Mission
     from authguard_r.core.token import read_token
+    from authguard_r.keys.trust import read_file
 
-    management = simulation.gate.management
+    token, management = read_file(path), simulation.gate.management
     payload = unb64(read_token(token).payload, where="token.payload")
     mission = decode(payload, Mission, where="mission")
     standing = management.standing(mission.mid)
@@ -241,8 +239,9 @@ def _world(site: Site, rid: str, at: str | None, holding: str | None) -> WorldSt
 
 
 def _payload(
-    simulation: Simulation, runs: list[PlanResult], path: Path, weights: Weights
+    simulation: Simulation, runs: list[PlanResult], path: Path, weight: Sequence[str]
 ) -> dict[str, Any]:
+    from authguard_r.authoring.compile.sources import given_weights
     from authguard_r.enforcement.json_views import plan_json, report_json
     from authguard_r.server.wiring import sign_terminal
 
@@ -250,6 +249,7 @@ def _payload(
     anchor = path.with_suffix(".checkpoint")
     anchor.write_bytes(terminal)
     state = simulation.robot.state
+    weights = given_weights(weight, where="--weight")
     judged = [report.judged for run in runs for report in run.reports]
     return {
         "steps": [report_json(report) for run in runs for report in run.reports],
@@ -264,11 +264,11 @@ def _payload(
     }
 
 
-def _lines(runs: list[PlanResult], path: Path) -> list[str]:
+def _lines(runs: list[PlanResult], path: Path, rules: tuple[Identifier, ...]) -> list[str]:
     from authguard_r.cli.out import report_lines
     from authguard_r.cli.run_approvals import next_step
 
-    lines: list[str] = []
+    lines = [f"rule `{rule}` is not satisfied if the mission ends here" for rule in rules]
     for run in runs:
         for report in run.reports:
             lines += [*report_lines(report), *next_step(report)]
