@@ -216,7 +216,7 @@ def binding_faults(binding: Binding, site: Site) -> Iterator[tuple[str, str]]:
     if binding.site not in {None, site.id}:
         yield "site", f"expected a binding for `{site.id}`"
     if binding.reply is not None:
-        yield from _reply_faults(binding.reply)
+        yield from binding.reply.faults()
     for name in binding.tools:
         found = ways_of(binding, name)
         for number, way in enumerate(found):
@@ -230,15 +230,6 @@ def binding_faults(binding: Binding, site: Site) -> Iterator[tuple[str, str]]:
                 if not _apart(way.tool, other.tool):
                     yield f"{way.place}.when", f"expected a constant that `{other.place}` has not"
     yield from _effect_faults(binding, site)
-
-
-def _reply_faults(form: ReplyForm) -> Iterator[tuple[str, str]]:
-    """Each key of a reply has one meaning, and the tool's key is there."""
-    names = [name for name in (form.list, form.tool, form.arguments, *form.text) if name]
-    if not form.tool:
-        yield "reply.tool", "expected the key of a step's tool"
-    if len(set(names)) < len(names):
-        yield "reply", "expected each key once"
 
 
 def _effect_faults(binding: Binding, site: Site) -> Iterator[tuple[str, str]]:
@@ -289,10 +280,9 @@ def _faults(tool: ToolBinding, site: Site) -> Iterator[tuple[str, str]]:
     if kind is None:
         yield "type", f"expected an action type of the site, got `{tool.type}`"
         return
-    also = [name for argument in tool.arguments.values() for name in argument.also]
-    lists = {
-        name for argument in tool.arguments.values() if argument.each for name in argument.also
-    }
+    every = tool.arguments.values()
+    also = [name for argument in every for name in argument.also]
+    lists = {name for argument in every if argument.each for name in argument.also}
     yield from _path_faults([*tool.arguments, *also, *tool.when], "arguments", lists)
     for name, argument in tool.arguments.items():
         for place, fault in _argument_faults(argument):

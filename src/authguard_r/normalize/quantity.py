@@ -19,8 +19,6 @@ from authguard_r.core.reasons import Reason
 from authguard_r.normalize.binding import Argument
 from authguard_r.site.model import Parameter, Rounding
 
-#: Digits from which a number may be one of 32 bits that was printed with 64.
-_WIDE = 13
 #: What a coordinate of a position is held to.
 COORDINATE = Parameter(
     unit="mm", low=-MAX_INTEGER, high=MAX_INTEGER, rounding=Rounding.POSITION, required=True
@@ -60,12 +58,16 @@ def scale(
     return whole
 
 
-def _at_own_width(value: int | Decimal) -> int | Decimal:
+def _at_own_width(value: int | Decimal, *, wide: int = 13) -> int | Decimal:
     """Return the shortest number that is the same in 32 bits, when a double spells exactly those.
 
     A message with `float32` fields prints 0.8 as 0.800000011920929.
+
+    Args:
+        value: as it was written.
+        wide: digits from which it may be such a number.
     """
-    if len(Decimal(value).as_tuple().digits) < _WIDE:
+    if len(Decimal(value).as_tuple().digits) < wide:
         return value
     double = float(value)
     if Decimal(repr(double)) != value or _single(double) != double:

@@ -39,7 +39,12 @@ from authguard_r.normalize.dialects.servers import (
     read_ollama,
 )
 from authguard_r.normalize.dialects.spine import LIST, read_spine, read_spine_reply
-from authguard_r.normalize.dialects.templates import TEMPLATES, Reply, fenced, read_pythonic
+from authguard_r.normalize.dialects.templates import (
+    TEMPLATES,
+    TemplateReading,
+    fenced,
+    read_pythonic,
+)
 from authguard_r.normalize.dialects.tool_use import (
     read_anthropic,
     read_mcp,
@@ -81,7 +86,7 @@ _OF_TEXT: dict[Dialect, Callable[[str], tuple[Call, ...]]] = {
     Dialect.DOLPHINS: read_dolphins,
 }
 #: The readers of text with tags around its calls, or of one list of them.
-_OF_TEMPLATE: dict[Dialect, Callable[[str], Reply]] = {
+_OF_TEMPLATE: dict[Dialect, Callable[[str], TemplateReading]] = {
     Dialect.PYTHONIC: read_pythonic,
     **{dialect: reader for _, dialect, reader in TEMPLATES},
 }

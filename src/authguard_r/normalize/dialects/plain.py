@@ -6,6 +6,7 @@ Spec page: docs/spec/normalize.md#dialects
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 from msgspec import Struct
@@ -28,6 +29,14 @@ class ReplyForm(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=T
     tool: str = "tool"
     arguments: str = "arguments"
     text: tuple[str, ...] = ()
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield the place and the message of every fault: each key has one meaning."""
+        names = [name for name in (self.list, self.tool, self.arguments, *self.text) if name]
+        if not self.tool:
+            yield "reply.tool", "expected the key of a step's tool"
+        if len(set(names)) < len(names):
+            yield "reply", "expected each key once"
 
 
 def read_bare(value: Any) -> tuple[Call, ...]:

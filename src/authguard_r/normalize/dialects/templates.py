@@ -43,7 +43,7 @@ _STRAY = re.compile(r"(?:\A|\n)(?:Action|Action Input|Observation|Final Answer):
 _FENCE = re.compile(r"^```([A-Za-z_]{0,16})[ \t]*\r?$", re.MULTILINE)
 
 
-class Reply(Struct, frozen=True):
+class TemplateReading(Struct, frozen=True):
     """Calls that stood within a template, and how much free text stood around them.
 
     Args:
@@ -57,7 +57,7 @@ class Reply(Struct, frozen=True):
     after: int = 0
 
 
-def read_hermes(text: str) -> Reply:
+def read_hermes(text: str) -> TemplateReading:
     """Return the calls of `<tool_call>{"name", "arguments"}</tool_call>`, as Hermes and Qwen write.
 
     Raises:
@@ -71,10 +71,10 @@ def read_hermes(text: str) -> Reply:
             wanted = "expected nothing but calls from here on, each within `<tool_call>`"
             raise MalformedError(wanted, where=f"input[{place}]")
         calls.append(_named(read_json(inner, where=f"input[{place}]"), f"input[{place}]"))
-    return Reply(tuple(calls), before=_thought(before, "<tool_call>"))
+    return TemplateReading(tuple(calls), before=_thought(before, "<tool_call>"))
 
 
-def read_mistral(text: str) -> Reply:
+def read_mistral(text: str) -> TemplateReading:
     """Return the calls after `[TOOL_CALLS]`: a list, or `name[ARGS]{...}` with a tag for each.
 
     Raises:
@@ -86,7 +86,9 @@ def read_mistral(text: str) -> Reply:
     if len(parts) == 1 and parts[0].lstrip(_SPACE)[:1] == "[":
         where = f"input[{len(before)}]"
         items = expect(read_json(parts[0], where=where), list, where)
-        return Reply(tuple(_named(one, f"{where}[{n}]") for n, one in enumerate(items)), prose)
+        return TemplateReading(
+            tuple(_named(one, f"{where}[{n}]") for n, one in enumerate(items)), prose
+        )
     calls = []
     for place, part in _placed(before, parts, "[TOOL_CALLS]"):
         where = f"input[{place}]"
@@ -95,10 +97,10 @@ def read_mistral(text: str) -> Reply:
             raise MalformedError("expected `name[ARGS]{...}` or a list of calls", where=where)
         arguments = read_json(part[name.end() :], where=f"{where}.arguments")
         calls.append(Call(name[1], expect(arguments, dict, f"{where}.arguments"), where))
-    return Reply(tuple(calls), before=prose)
+    return TemplateReading(tuple(calls), before=prose)
 
 
-def read_llama(text: str) -> Reply:
+def read_llama(text: str) -> TemplateReading:
     """Return the calls after `<|python_tag|>`: `{"name", "parameters"}`, or calls as Python.
 
     Raises:
@@ -107,23 +109,23 @@ def read_llama(text: str) -> Reply:
     before, _, body = _trimmed(text).partition("<|python_tag|>")
     prose, where = _thought(before, "<|python_tag|>"), f"input[{len(before)}]"
     if body.lstrip(_SPACE)[:1] != "{":
-        return Reply(read_code(body, where=where), before=prose)
+        return TemplateReading(read_code(body, where=where), before=prose)
     items = read_json_sequence(body, where=where)
-    return Reply(
+    return TemplateReading(
         tuple(_named(one, f"{where}[{n}]", "parameters") for n, one in enumerate(items)), prose
     )
 
 
-def read_pythonic(text: str) -> Reply:
+def read_pythonic(text: str) -> TemplateReading:
     """Return the calls of `[go(to="Dock"), scan()]`, which Llama 3.2 and 4 write.
 
     Raises:
         MalformedError: anything else than one list of calls with literals.
     """
-    return Reply(read_call_list(_trimmed(text), where="input"))
+    return TemplateReading(read_call_list(_trimmed(text), where="input"))
 
 
-def read_deepseek(text: str) -> Reply:
+def read_deepseek(text: str) -> TemplateReading:
     """Return the calls between DeepSeek's tags, with fences (V3, R1) or without them (V3.1).
 
     Raises:
@@ -146,10 +148,10 @@ def read_deepseek(text: str) -> Reply:
         place += len(part) + len(_CALL_END)
     if rest.strip(_SPACE):
         raise MalformedError("expected a call within its tags", where=f"input[{place}]")
-    return Reply(tuple(calls), before=_thought(before, _BEGIN))
+    return TemplateReading(tuple(calls), before=_thought(before, _BEGIN))
 
 
-def read_harmony(text: str) -> Reply:
+def read_harmony(text: str) -> TemplateReading:
     """Return the call of a gpt-oss reply: messages in channels, the last one to a function.
 
     Raises:
@@ -173,10 +175,10 @@ def read_harmony(text: str) -> Reply:
         else:
             prose += len(said)
         at = end + len(mark)
-    return Reply(tuple(calls), before=prose)
+    return TemplateReading(tuple(calls), before=prose)
 
 
-def read_react(text: str) -> Reply:
+def read_react(text: str) -> TemplateReading:
     """Return the call of `Action: name` and `Action Input: {...}`, which end a ReAct turn.
 
     Raises:
@@ -192,7 +194,7 @@ def read_react(text: str) -> Reply:
     where = f"input[{head.end()}]"
     arguments = expect(read_json(trimmed[head.end() :], where=where), dict, where)
     prose = _thought(trimmed[: head.start()], "Action:")
-    return Reply((Call(head[1], arguments, where),), before=prose)
+    return TemplateReading((Call(head[1], arguments, where),), before=prose)
 
 
 def fenced(text: str) -> tuple[str, str, int, int]:
@@ -247,7 +249,7 @@ def _thought(prose: str, tag: str) -> int:
 
 
 #: What shows a template, and what reads it; a text that shows two is in none of them.
-TEMPLATES: tuple[tuple[str, Dialect, Callable[[str], Reply]], ...] = (
+TEMPLATES: tuple[tuple[str, Dialect, Callable[[str], TemplateReading]], ...] = (
     ("<tool_call>", Dialect.HERMES, read_hermes),
     ("[TOOL_CALLS]", Dialect.MISTRAL, read_mistral),
     ("<|python_tag|>", Dialect.LLAMA, read_llama),
