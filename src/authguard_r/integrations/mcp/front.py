@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Awaitable, Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from importlib.metadata import version
 from typing import Any
 
@@ -66,6 +66,17 @@ def tools_of(pins: Pins) -> list[types.Tool]:
     ]
 
 
+def beside_tools(binding: Binding, site: Site) -> frozenset[str]:
+    """Return the tools of which every way may run beside another action, and moves nothing."""
+    kinds = {
+        name: [site.vocabulary[way.tool.type] for way in ways_of(binding, name)]
+        for name in binding.tools
+    }
+    return frozenset(
+        n for n, all_of in kinds.items() if all(k.beside and not k.moves for k in all_of)
+    )
+
+
 def fate(name: str, binding: Binding, site: Site) -> str:
     """Return how a server's tool is treated: `shown`, or `hidden` and why."""
     if name not in binding.tools:
@@ -82,6 +93,7 @@ class Front:
 
     Args:
         planner: proposes to the gate.
+        aside: proposes what runs beside another action, and its tools.
         tools: returns what is shown now.
         made: returns the call that was made for a release's ticket.
         unguarded: calls a tool as the planner wrote it; for a gate in shadow mode, which releases
@@ -91,11 +103,13 @@ class Front:
     def __init__(
         self,
         planner: ToolPlanner,
+        aside: tuple[ToolPlanner, frozenset[str]],
         tools: Callable[[], list[types.Tool]],
         made: Callable[[str | None], Call | None],
         unguarded: Unguarded | None = None,
     ) -> None:
         self._planner = planner
+        self._aside, self._beside_tools = aside
         self._tools = tools
         self._made = made
         self._unguarded = unguarded
@@ -140,10 +154,13 @@ class Front:
             if UNREADABLE in arguments:
                 await self._planner.unreadable(params.name, str(arguments[UNREADABLE]))
                 raise MalformedError("expected strict JSON, each key once", where="arguments")
+            is_beside = params.name in self._beside_tools
+            planner = self._aside if is_beside else self._planner
+            turn = nullcontext() if is_beside else self._turns.turn(session)
             with self._room(arguments):
-                async with self._turns.turn(session), self._planner.turn:
+                async with turn, planner.turn:
                     key = named(params, again=again)
-                    asked = await self._planner.propose(params.name, arguments, key=key)
+                    asked = await planner.propose(params.name, arguments, key=key)
                     if self._unguarded is not None:
                         return await self._beside(params.name, arguments, asked), None
         except LostError as lost:
