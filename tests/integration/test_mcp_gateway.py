@@ -1029,7 +1029,7 @@ def test_a_gateway_in_shadow_mode_does_not_go_past_a_gate_that_enforces(house: D
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        (("--listen", "127.0.0.1:0"), "a port does not say who asks"),
+        (("--listen", "127.0.0.1:0"), "a port does not identify the caller"),
         (("--stop-call", "say={"), "expected JSON"),
         (("--stop-call", "=5"), "expected TOOL="),
         (("--stop-call", "say=5"), "expected TOOL="),
