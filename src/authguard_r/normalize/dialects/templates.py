@@ -3,7 +3,7 @@
 
 Each reader takes the whole text. Free text may stand before the first tag, after a fence also;
 nothing else may stand beside the calls, and a call within a call is broken JSON. What a model
-thinks must have ended before its calls begin. Spec page: docs/spec/normalize.md#templates
+thinks must have ended before its calls begin. Spec page: docs/spec/normalize.md#wrappers
 """
 
 from __future__ import annotations
