@@ -23,7 +23,7 @@ def test_at_least_forty_formats_are_read_as_they_are_meant() -> None:
 
 
 def test_a_named_dialect_reads_what_recognizing_reads() -> None:
-    for one in (reply for reply in READ if not reply.around.startswith("fence")):
+    for one in (reply for reply in READ if not reply.around.startswith(("fence", "think"))):
         with case(one.name):
             named = read_reply(one.text, Dialect(one.dialect), one.form)
             assert named == read_reply(one.text, Dialect.AUTO, one.form)

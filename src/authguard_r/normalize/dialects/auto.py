@@ -178,7 +178,12 @@ def _unwrapped(text: str, form: ReplyForm | None) -> PlanReading:
         tags = " and ".join(f"`{tag}`" for tag, _ in shown[:2])
         raise _unknown(f"expected one way to mark calls, got {tags}", "input")
     if not shown:
-        return _recognized(text, form)
+        thought, over, rest = text.partition("</think>")
+        if not over or not thought.lstrip(_SPACE).startswith("<think>"):
+            return _recognized(text, form)
+        reading = _recognized(rest, form)
+        around = _around("think", len(thought.strip(_SPACE)) + len(over), 0)
+        return PlanReading(reading.dialect, reading.calls, around)
     if shown[0][1] is not Dialect.AUTO:
         return read(text, shown[0][1])
     inner, language, before, after = fenced(text)
