@@ -64,7 +64,7 @@ def test_l4_who_a_text_says_it_is_from_is_not_read() -> None:
 
 
 def test_l3_a_velocity_that_is_no_sound_number_is_refused() -> None:
-    for speed in ["NaN", "-1", "true", '"0.5"', "1e400", "[0.5]", "null", "9" * 50]:
+    for speed in ["NaN", "-1", "true", '"0.5"', "1e400", "[0.5]", "9" * 50]:
         with case(speed):
             there = f'{{"destination": "Dock", "speed": {speed}}}'
             text = f'{{"tool": "navigate_to", "arguments": {there}}}'

@@ -88,7 +88,7 @@ def test_prose_before_a_plan_is_in_no_dialect() -> None:
     """Nothing is cut out, stripped or repaired (L12)."""
     for text, where in [
         ("Sure! Here is the plan: []", "input[0]"),
-        ("\n\n<think>go</think>", "input[2]"),
+        ("\n\n<think>go", "input[2]"),
         ("null", "input[0]"),
         ('"go()"', "input[0]"),
         ("- tool: go", "input[0]"),
