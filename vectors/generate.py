@@ -23,6 +23,7 @@ from making import (
     lifecycle,
     normalizing,
     repair,
+    replies,
     retention,
     revocation,
     risk,
@@ -31,7 +32,7 @@ from making import (
     tokens,
 )
 
-from fixtures import frame_streams
+from fixtures import frame_streams, reply_page
 
 Json = dict[str, Any]
 
@@ -46,12 +47,18 @@ def main(folder: Path) -> None:
     write(folder / "lifecycle.json", lifecycle.lifecycle_vectors())
     write(folder / "normalize.json", normalizing.normalize_vectors())
     write(folder / "repair.json", repair.repair_vectors())
+    write(folder / "replies.json", replies.reply_vectors())
     write(folder / "retention.json", retention.retention_vectors())
     write(folder / "revocation.json", revocation.revocation_vectors())
     write(folder / "risk.json", risk.risk_vectors())
     write(folder / "stated.json", stated.stated_vectors())
     write(folder / "template.json", template.template_vectors())
     write(folder / "token.json", tokens.token_vectors())
+
+
+def write_pages(folder: Path) -> None:
+    """Write the reference pages that list what the vectors hold."""
+    (folder / "replies.md").write_text(reply_page.reply_page(), encoding="utf-8")
 
 
 def write(path: Path, content: Json) -> None:
@@ -62,3 +69,5 @@ def write(path: Path, content: Json) -> None:
 
 if __name__ == "__main__":
     main(Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "vectors")
+    if len(sys.argv) == 1:
+        write_pages(ROOT / "docs" / "reference")

@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from decimal import Decimal
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,7 @@ from authguard_r.keys.algorithms import require_sound
 from authguard_r.keys.revocation import read_list
 from authguard_r.keys.trust import ROOT_LISTS, Trust
 from authguard_r.normalize import Binder, read_plan
+from authguard_r.normalize.dialects import Dialect, ReplyForm, read_reply
 from authguard_r.wire import messages
 from authguard_r.wire.frames import FrameReader, raw_frame, read_body
 from authguard_r.wire.messages import Kind
@@ -132,6 +134,22 @@ def test_every_planner_text_means_what_is_published() -> None:
         except MalformedError as error:
             got = {"refusal": {"reason": str(error.reason), "where": error.where}}
         assert got == vector["expect"], vector["name"]
+
+
+def test_every_reply_is_read_or_refused_as_published() -> None:
+    for vector in load("replies.json")["vectors"]:
+        form = msgspec.convert(vector.get("reply"), ReplyForm | None)
+        try:
+            reading = read_reply(vector["raw"], Dialect.AUTO, form)
+            calls = [{"tool": c.tool, "arguments": _spelled(c.arguments)} for c in reading.calls]
+            got: Any = {"dialect": reading.dialect, "around": reading.around, "calls": calls}
+        except MalformedError as error:
+            got = {"refusal": {"reason": str(error.reason), "where": error.where}}
+        assert got == vector["expect"], vector["name"]
+
+
+def _spelled(arguments: Any) -> Any:
+    return {n: {"decimal": str(v)} if isinstance(v, Decimal) else v for n, v in arguments.items()}
 
 
 @pytest.mark.parametrize("under", ["one root", "two roots"])

@@ -80,6 +80,17 @@ def test_what_the_mission_grants_is_called_and_a_hijack_never_is(robot: Courier)
     ]
 
 
+def test_an_argument_that_is_none_is_left_out_and_a_needed_one_is_refused(robot: Courier) -> None:
+    with robot.guard() as guard:
+        given = {"destination": "Pharmacy", "speed": None, "via": None, "behavior_tree": None}
+        assert guard.call("navigate_to", given) == SIGN
+        told = refused(guard, "navigate_to", destination=None)
+    assert told.reasons == ["VALUE_INVALID"]
+    assert "destination: expected the name of a region" in str(told)
+    assert "the same call will not pass later" in str(told)
+    assert [call["arguments"]["speed"] for call in robot.calls()] == [0.5]
+
+
 def test_a_decorated_function_keeps_its_face_and_loses_its_body(robot: Courier) -> None:
     """Positions are named, defaults are proposed, and nothing of the function is in reach."""
     with robot.connect() as guard:

@@ -92,6 +92,19 @@ def test_a_guarded_tool_looks_as_it_did_and_holds_nothing_of_it(
     assert own.func not in made.__dict__.values()
 
 
+def test_an_optional_argument_without_a_value_is_left_out(robot: Courier, guard: GateGuard) -> None:
+    """The framework fills in what a model left out: `Optional[...] = None` is null."""
+
+    def navigate_to(destination: str, speed: float | None = None, via: Any = None) -> str:
+        """Go to a place."""
+        return robot.made("navigate_to", destination=destination, speed=speed, via=via)
+
+    (made,) = guard_tools(guard, [StructuredTool.from_function(navigate_to)])
+    for given in ({}, {"speed": None}):
+        assert made.invoke(called("navigate_to", destination="Pharmacy", **given)).content == SIGN
+    assert [call["arguments"]["speed"] for call in robot.calls()] == [0.5, 0.5]
+
+
 def test_in_shadow_mode_calls_are_made_as_written_and_the_gate_knows(tmp_path: Path) -> None:
     with courier(tmp_path, mode=Mode.SHADOW) as robot, robot.connect(shadow=True) as guard:
         (made,) = guard_tools(guard, [navigating(robot)])

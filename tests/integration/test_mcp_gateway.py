@@ -1070,3 +1070,29 @@ def test_in_shadow_mode_a_server_that_dies_is_told_as_it_is(tmp_path: Path) -> N
 
     with own_house(tmp_path, mode=Mode.SHADOW) as house:
         run(lambda: talk(house))
+
+
+def test_what_may_run_beside_is_called_while_the_robot_moves(tmp_path: Path) -> None:
+    """Telemetry does not wait for a drive to end; a second drive does."""
+    model = yaml.safe_load((scenarios.HOSPITAL / "site.yaml").read_text())
+    model["vocabulary"]["scan_obstacles"]["beside"] = True
+    site = tmp_path / "site.yaml"
+    site.write_text(yaml.safe_dump(model))
+
+    async def talk() -> None:
+        async with house.talking("waits-to-drive") as client:
+            drive = asyncio.ensure_future(
+                client.call_tool("navigate_to", {"destination": "Pharmacy"})
+            )
+            async with asyncio.timeout(PATIENCE_S):
+                while not house.calls():
+                    await asyncio.sleep(0.01)
+                seen = await client.call_tool("scan", {})
+            assert (verdict(seen)["execution"], drive.done()) == ("succeeded", False)
+            (house.folder / "go").touch()
+            async with asyncio.timeout(PATIENCE_S):
+                assert verdict(await drive)["execution"] == "succeeded"
+
+    with own_house(tmp_path, site=site) as house:
+        run(talk)
+    assert [call["tool"] for call in house.calls()] == ["navigate_to", "scan"]

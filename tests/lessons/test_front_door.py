@@ -106,14 +106,14 @@ def test_l12_plan_code_is_parsed_and_never_evaluated(text: str, tmp_path: Path) 
     "text",
     [
         "Sure! {plan}",
-        "```json\n{plan}\n```",
+        "```json\n{plan}",
         "{plan} // done",
         "{plan},",
         "# first\n{plan}",
         "{plan}\n{plan}",
     ],
 )
-def test_l12_prose_comments_and_fences_around_a_plan_refuse_it(text: str) -> None:
+def test_l12_prose_comments_and_half_a_fence_around_a_plan_refuse_it(text: str) -> None:
     broken = text.replace("{plan}", json.dumps(GOAL)).encode()
     for dialect in (Dialect.JSON, Dialect.AUTO):
         refusal(broken, "nav2", dialect)

@@ -64,7 +64,7 @@ def test_l4_who_a_text_says_it_is_from_is_not_read() -> None:
 
 
 def test_l3_a_velocity_that_is_no_sound_number_is_refused() -> None:
-    for speed in ["NaN", "-1", "true", '"0.5"', "1e400", "[0.5]", "null", "9" * 50]:
+    for speed in ["NaN", "-1", "true", '"0.5"', "1e400", "[0.5]", "9" * 50]:
         with case(speed):
             there = f'{{"destination": "Dock", "speed": {speed}}}'
             text = f'{{"tool": "navigate_to", "arguments": {there}}}'
@@ -164,6 +164,23 @@ def test_l11_one_unknown_call_refuses_the_whole_plan() -> None:
         read_plan(plan, binder=BINDER)
     assert str(caught.value.reason) == "TOOL_UNKNOWN"
     assert caught.value.where.startswith("plan[1]")
+
+
+def test_l31_packaging_is_read_exactly_and_noted_and_never_a_reason_to_refuse() -> None:
+    """What a fence, a tag, a null or empty arguments hold is the same plan as without them."""
+    call = '{"name": "navigate_to", "arguments": {"destination": "Dock", "speed": null}}'
+    bare = read_plan(b'navigate_to(destination="Dock")', binder=BINDER).steps
+    for text, around in [
+        (f"Here it is:\n```json\n{call}\n```", "fence, 11 characters before it"),
+        (f"<tool_call>{call}</tool_call>", "hermes"),
+        (f"[TOOL_CALLS][{call}]", "mistral"),
+        (call, ""),
+    ]:
+        with case(text):
+            (step,) = read_plan(text.encode(), binder=BINDER).steps
+            assert (step.action, step.around) == (bare[0].action, around)
+    empty = '{"role": "assistant", "tool_calls": [{"function": {"name": "scan", "arguments": ""}}]}'
+    assert read_plan(empty.encode(), binder=BINDER).steps[0].action.type == "scan_obstacles"
 
 
 def test_l13_only_the_canonical_bytes_are_the_mission() -> None:

@@ -6,12 +6,13 @@ believed: each tool calls itself harmless, and its answers are signs that somebo
 
     python courier_mcp_server.py CALLS.jsonl [FAULT ...]
 
-Faults: `dies` at the second call, `hangs` in every call but `say`, `huge` answers, `says-no`
-and is no error, `renamed` has a tool more, `error` is an error of the tool, `busy` hears nothing
-for two seconds of a call, `leaves` after the first answer of each start, `forges` or `garbles` a
-verdict, `ends-session` (over HTTP) ends the session in which a call is canceled, `waits` in every
-call until the file `go` is beside that of the calls, `pattern` in the schema of its answers that
-takes hours, `pattern-2` another one, `endless` or `packed` answers of calls (over HTTP).
+Faults: `dies` at the second call, `hangs` in every call but `say`, `huge` answers, `says-no` and is
+no error, `renamed` has a tool more, `error` is an error of the tool, `busy` hears nothing for two
+seconds of a call, `leaves` after the first answer of each start, `forges` or `garbles` a verdict,
+`ends-session` (over HTTP) ends the session in which a call is canceled, `waits` in every call until
+the file `go` is beside that of the calls, `waits-to-drive` in drives alone, `pattern` in the schema
+of its answers that takes hours, `pattern-2` another one, `endless` or `packed` answers of calls
+(over HTTP).
 """
 
 from __future__ import annotations
@@ -85,7 +86,8 @@ async def _call(ctx: Any, params: types.CallToolRequestParams) -> types.CallTool
         asyncio.get_running_loop().call_later(0.2, os._exit, 0)
     if "hangs" in FAULTS and params.name != "say":
         await asyncio.sleep(3_600)
-    while "waits" in FAULTS and not CALLS.with_name("go").exists():
+    waits = "waits" in FAULTS or ("waits-to-drive" in FAULTS and params.name == "navigate_to")
+    while waits and not CALLS.with_name("go").exists():
         await asyncio.sleep(0.01)
     if FAULTS & PATTERNS.keys():
         return types.CallToolResult(content=[], structured_content={"note": SLOW})

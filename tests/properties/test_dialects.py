@@ -76,7 +76,14 @@ operations = plans(
 SAYABLE: dict[str, Any] = {
     "openai": free,
     "anthropic": free,
+    "responses": free,
+    "gemini": free,
+    "bedrock": free,
+    "ollama": free,
+    "langchain": free,
     "mcp": free,
+    "llama": free,
+    "pythonic": code,
     "json": free,
     "calls": plans(names, st.dictionaries(names, st.booleans() | numbers | unquoted, max_size=3)),
     "python": code,
@@ -260,7 +267,8 @@ def test_no_change_of_a_good_plan_raises_anything_but_a_refusal_with_a_place(way
 def test_a_plan_cut_short_is_refused_or_ends_after_a_whole_call(way: str) -> None:
     """The attack: cut a reply so that half an argument means another place.
 
-    What ends with its last call (call text, steps) cannot tell; the rest is refused at every cut.
+    What ends with its last call (call text, steps, some templates) cannot tell; the rest is refused
+    at every cut.
     """
     dialect, write, calls = WAYS[way]
     good = write(*calls)
@@ -273,6 +281,7 @@ def test_a_plan_cut_short_is_refused_or_ends_after_a_whole_call(way: str) -> Non
                 Dialect.GO2,
                 Dialect.STEPS,
                 Dialect.DOLPHINS,
+                *(Dialect.HERMES, Dialect.MISTRAL, Dialect.LLAMA),
             }
 
 

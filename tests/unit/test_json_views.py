@@ -41,7 +41,7 @@ def test_codes_tell_codes_and_no_field() -> None:
     assert told.keys() == DECIDED
     assert told["reasons"][0] == "DESTINATION_OUT_OF_SCOPE"
     assert "office-1" not in msgspec.json.encode(told).decode()
-    assert disclosed(report_json(unread()), Disclosure.CODES).keys() == ALWAYS
+    assert disclosed(report_json(unread()), Disclosure.CODES).keys() == ALWAYS | {"retryable"}
 
 
 def test_fields_tell_the_field_and_not_what_was_expected_there() -> None:
@@ -50,7 +50,8 @@ def test_fields_tell_the_field_and_not_what_was_expected_there() -> None:
     assert told["findings"][0].keys() == {"field", "reason", "step"}
     assert "pharmacy" not in msgspec.json.encode(told).decode()
     bare = disclosed(report_json(unread()), Disclosure.FIELDS)
-    assert (bare["findings"], bare["refusal"]["where"]) == ([], "input[3]")
+    place = {"field": "input[3]", "reason": "MALFORMED", "step": 0}
+    assert (bare["findings"], bare["refusal"]["where"]) == ([place], "input[3]")
 
 
 def test_full_tells_everything_that_the_report_says() -> None:

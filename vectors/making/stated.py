@@ -359,14 +359,14 @@ def replies() -> dict[str, Case]:
         "a reply in a fence": (
             text,
             f"```json\n{reply(go('Station 101'))}\n```",
-            no("DIALECT_UNKNOWN", "input[0]"),
+            no("MALFORMED", "input[0]"),
         ),
         "a place that the site does not have": (
             "Go to Station 999.",
             [go("Station 999")],
             no("NAME_UNKNOWN", "plan[0].destination"),
         ),
-        "a tool that is not bound": (text, [("fly", {})], no("TOOL_UNKNOWN", "plan[0]")),
+        "a tool that is not bound": (text, [("fly", {})], no("TOOL_UNKNOWN", "plan[0].tool")),
         "a speed beyond the type's": (
             "Station 101 at 9 m/s",
             [go("Station 101", speed=9)],

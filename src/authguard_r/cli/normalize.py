@@ -208,6 +208,7 @@ def _shown(
     return {
         "actions": [action_json(action) for action in actions],
         "dialect": str(plan.dialect),
+        **({"around": plan.steps[0].around} if plan.steps[0].around else {}),
         "evidence": plan.evidence,
         "influenced_by": [
             msgspec.to_builtins(item) for action in actions for item in ledger.influences(action)

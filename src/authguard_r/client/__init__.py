@@ -17,6 +17,8 @@ _HOMES = {
     "ClientRole": "wire.messages",
     "GateClient": "client.blocking",
     "StopEverywhere": "client.stopping",
+    "chat_reply": "client.streams",
+    "messages_reply": "client.streams",
     "read_signer": "keys.signer",
     "shown": "client.approvals",
     "stop_robot": "client.stopping",

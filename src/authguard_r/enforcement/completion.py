@@ -129,14 +129,21 @@ def repaired_report(
     standing, match = judged.standing, judged.decision.match
     if standing is not None and match is not None and match.indexed.grant.id in standing.requests:
         judged = msgspec.structs.replace(judged, request=None)
-    return Report(judged=judged, influences=context.influences(again.action), repairs=report)
+    return Report(
+        judged=judged,
+        influences=context.influences(again.action),
+        around=report.around,
+        repairs=report,
+    )
 
 
 def record_of_decision(report: Report, facts: SiteFacts) -> Entry:
     """Return the record of a decision, with who was counted and what it repairs."""
     judged = require_judged(report)
     people = counted(judged, facts)
-    return decision_entry(judged, report.influences, people, repairs=report.repairs)
+    return decision_entry(
+        judged, report.influences, people, repairs=report.repairs, around=report.around
+    )
 
 
 def cause_of(report: Report) -> tuple[str, str]:

@@ -156,7 +156,7 @@ class Enforcer:
 
         def job(act: Transaction) -> Report:
             judge = partial(self._judge, act, planner=planner, evidence=evidence, base=base)
-            report = Report(judged=judge(step), influences=influences)  # 2 to 4
+            report = Report(judged=judge(step), influences=influences, around=step.around)  # 2-4
             report = repaired_report(report, step, judge, context) if repair else report
             return self._record(act, report, planner, on_commit)  # 5
 

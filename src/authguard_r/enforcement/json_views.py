@@ -15,6 +15,7 @@ from authguard_r.audit.deviation import Weights, violated_fields
 from authguard_r.core.action import Action
 from authguard_r.core.decision import Decision
 from authguard_r.core.finding import Finding
+from authguard_r.core.reasons import may_pass_later
 from authguard_r.core.safety import SafetyDecision
 from authguard_r.core.standing import Outcome
 from authguard_r.core.token import VerifiedMission
@@ -22,6 +23,7 @@ from authguard_r.enforcement.report import (
     EQUAL,
     NOT_EVALUATED,
     Judged,
+    Refusal,
     Report,
     average_deviation,
     plan_deviation,
@@ -133,6 +135,12 @@ def report_json(report: Report) -> dict[str, Any]:
     return {**whole, **_brief_json(report), "influenced_by": influences}
 
 
+def _fault_json(refusal: Refusal) -> dict[str, Any]:
+    """Return why nothing was decided as a finding, so that a planner reads one shape."""
+    place = {"field": refusal.where, "reason": str(refusal.reason)}
+    return {**place, "expected": refusal.message, "got": "", "step": 0}
+
+
 def _brief_json(report: Report) -> dict[str, Any]:
     """Return the part of a report that `disclosed` chooses from."""
     judged, refusal, outcome = report.judged, report.refusal, report.outcome
@@ -140,6 +148,8 @@ def _brief_json(report: Report) -> dict[str, Any]:
         body: dict[str, Any] = {
             "outcome": "reject",
             "reasons": [] if refusal is None else [str(refusal.reason)],
+            "findings": [] if refusal is None else [_fault_json(refusal)],
+            "retryable": refusal is not None and may_pass_later((refusal.reason,)),
             "refusal": None if refusal is None else msgspec.to_builtins(refusal),
         }
     else:

@@ -105,6 +105,7 @@ class Report(Struct, frozen=True, kw_only=True):
         outcome: how the released action ended; None when nothing was released.
         reasons: why a released action was not begun or was aborted.
         influences: inputs that mentioned what the action carries.
+        around: what stood around the plan's calls and was not looked at.
         seq: number of the decision's record, None when none could be written.
         outcome_recorded: False of a refusal that is at most counted, for want of room; and
             when the store failed after the robot had moved; the release
@@ -117,6 +118,7 @@ class Report(Struct, frozen=True, kw_only=True):
     outcome: Outcome | None = None
     reasons: Findings = ()
     influences: tuple[Influence, ...] = ()
+    around: str = ""
     seq: int | None = None
     outcome_recorded: bool = True
     repairs: Report | None = None
@@ -167,6 +169,7 @@ def decision_entry(
     counted: list[dict[str, Any]] | None = None,
     *,
     repairs: Report | None = None,
+    around: str = "",
 ) -> Entry:
     """Return the record of one decision (e_i of `eq:log` and every input of a replay).
 
@@ -176,6 +179,7 @@ def decision_entry(
         counted: who stands behind it (`counted`), when people were asked.
         repairs: the refused report whose repair this is; named by its number (-1 while it has
             none) and the digest of its action.
+        around: what stood around the plan's calls and was not looked at.
     """
     decision, mission = judged.decision, judged.verified.mission
     share = judged.deviation
@@ -203,6 +207,7 @@ def decision_entry(
             **({"approvers": counted} if counted else {}),
             **({"preapproved": decision.preapproved} if decision.preapproved else {}),
             **({} if repairs is None else _repaired(repairs)),
+            **({"around": around} if around else {}),
         },
         sealed={
             "action": judged.action,

@@ -22,10 +22,12 @@ class Step(Struct, frozen=True, kw_only=True):
     Args:
         action: without provenance and meta.
         attested: fields to fill when the step's turn comes.
+        around: what stood around the plan's calls and was not looked at, for the record.
     """
 
     action: Action
     attested: tuple[str, ...]
+    around: str = ""
 
 
 class Plan(Struct, frozen=True, kw_only=True):
@@ -50,10 +52,14 @@ def read_plan(data: bytes, *, binder: Binder, dialect: Dialect = Dialect.AUTO) -
     Raises:
         MalformedError: with the reason and the place.
     """
-    reading = read_reply(read_text(data), dialect)
+    reading = read_reply(read_text(data), dialect, binder.reply)
     steps = tuple(
         [
-            Step(action=binder.bind(call), attested=binder.way(call).attested)
+            Step(
+                action=binder.bind(call),
+                attested=binder.way(call).attested,
+                around=reading.around,
+            )
             for call in reading.calls
         ]
     )

@@ -12,8 +12,9 @@ from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize.binding import is_index
 
-#: The names at one level of a call: those below each, or the path that ends there.
-Tree = dict[str, Any]
+#: The names at one level of a call: those below each, or the path that ends there. Under None: the
+#: path of a list that may stand in the place of the object.
+Tree = dict[str | None, Any]
 
 
 def look(arguments: Any, path: str) -> Any:
@@ -37,12 +38,15 @@ def suffix_of(path: str) -> str:
 def tree_of(paths: dict[str, tuple[str, ...]]) -> Tree:
     """Return the names of nested arguments as nested tables with each path at its end."""
     tree: Tree = {}
-    for path, names in paths.items():
-        for name in names:
-            *parents, last = name.split(".")
-            node = tree
-            for parent in parents:
-                node = node.setdefault(parent, {})
+    named = [(name, path) for path, names in paths.items() for name in names]
+    for name, path in sorted(named, key=lambda one: -one[0].count(".")):  # what is below is there
+        *parents, last = name.split(".")
+        node = tree
+        for parent in parents:
+            node = node.setdefault(parent, {})
+        if isinstance(node.get(last), dict):
+            node[last][None] = path
+        else:
             node[last] = path
     return tree
 
@@ -66,6 +70,10 @@ def _enter(below: Any, value: Any, found: dict[str, Any], where: str, tool: str)
         if below in found:
             raise refusal(Reason.VALUE_INVALID, "expected the value once", where)
         found[below] = value
+    elif value is None:
+        return  # as if nothing below it were there
+    elif isinstance(value, list) and None in below:
+        _enter(below[None], value, found, where, tool)
     elif "0" in below:
         if not isinstance(value, list):
             raise refusal(Reason.VALUE_INVALID, "expected a list", where)

@@ -109,6 +109,8 @@ class Binder:
             for name in binding.tools
         }
         self._results = result_channels(binding, site)
+        #: the form of replies that the binding declares
+        self.reply = binding.reply
         #: names the binding
         self.digest = binding_digest(binding)
 
@@ -179,7 +181,7 @@ class Binder:
             raise refusal(
                 Reason.TOOL_UNKNOWN,
                 f"expected a bound tool, got `{ascii(call.tool)[1:-1][:80]}`",
-                call.where,
+                call.named or call.where,
             )
         if len(found) == 1 and not found[0].tool.when:
             return found[0]
@@ -230,7 +232,8 @@ class Binder:
             unknown = min(given.keys() - form.names)
             raise unknown_field(tool, f"{where}.{ascii(unknown)[1:-1][:80]}")
         for path, suffix, target, reader, default, needed in form.readers:
-            if path in given:
+            # null says that an optional argument is left out; a needed one has to have a value
+            if given.get(path) is not None or (needed and path in given):
                 fields[target] = reader(given[path], where + suffix)
             elif default is not None:
                 fields[target] = default
@@ -254,7 +257,7 @@ class Binder:
         if argument.use is ArgumentUse.REFUSED:
             return _refuse
         if argument.use is ArgumentUse.FIXED:
-            return _constant(argument.constant())
+            return _constant(argument.constant(), "or nothing" if argument.optional else "")
         if argument.each:
             return self._list(argument, kind)
         if argument.to == "object":
@@ -316,12 +319,13 @@ def _refuse(value: Any, where: str) -> Any:  # noqa: ARG001 - whatever it is
     raise refusal(Reason.FIELD_REFUSED, "expected the field to be left out", where)
 
 
-def _constant(constant: Any) -> Reader:
+def _constant(constant: Any, otherwise: str) -> Reader:
     """Return what lets one value pass and fills nothing."""
+    wanted = f"expected `{constant}` {otherwise}".rstrip()
 
     def read(value: Any, where: str) -> None:
         if not same(value, constant):
-            raise refusal(Reason.FIELD_REFUSED, f"expected `{constant}` or nothing", where)
+            raise refusal(Reason.FIELD_REFUSED, wanted, where)
 
     return read
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
+from collections.abc import Set as AbstractSet
 from decimal import Decimal
 from enum import StrEnum
 from fractions import Fraction
@@ -29,6 +30,7 @@ from authguard_r.core.identifiers import (
     ToolId,
 )
 from authguard_r.core.reasons import Reason
+from authguard_r.normalize.dialects import ReplyForm
 from authguard_r.normalize.expected import DECIMAL, AnswerMatch, Constant, match_fault, same
 from authguard_r.site.channels import channel_labels
 from authguard_r.site.model import ActionModel, Site
@@ -150,12 +152,14 @@ class Binding(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=Tru
         schema: the version of this language.
         id: what people call it.
         site: the one site that it is made for; absent: any whose vocabulary has the types.
+        reply: the form of the planner's JSON, where it is none of the known ones.
         tools: by external name; `when` distinguishes several ways of a tool.
     """
 
     schema: Literal["authguard-r/binding/1"]
     id: Identifier
     site: Identifier | None = None
+    reply: ReplyForm | None = None
     tools: dict[str, ToolBinding | Ways]
 
 
@@ -211,6 +215,8 @@ def binding_faults(binding: Binding, site: Site) -> Iterator[tuple[str, str]]:
     """Yield the place and the message of every fault; nothing when the binding is sound."""
     if binding.site not in {None, site.id}:
         yield "site", f"expected a binding for `{site.id}`"
+    if binding.reply is not None:
+        yield from binding.reply.faults()
     for name in binding.tools:
         found = ways_of(binding, name)
         for number, way in enumerate(found):
@@ -274,8 +280,10 @@ def _faults(tool: ToolBinding, site: Site) -> Iterator[tuple[str, str]]:
     if kind is None:
         yield "type", f"expected an action type of the site, got `{tool.type}`"
         return
-    also = [name for argument in tool.arguments.values() for name in argument.also]
-    yield from _path_faults([*tool.arguments, *also, *tool.when], "arguments")
+    every = tool.arguments.values()
+    also = [name for argument in every for name in argument.also]
+    lists = {name for argument in every if argument.each for name in argument.also}
+    yield from _path_faults([*tool.arguments, *also, *tool.when], "arguments", lists)
     for name, argument in tool.arguments.items():
         for place, fault in _argument_faults(argument):
             yield f"arguments.{name}.{place}", fault
@@ -290,14 +298,22 @@ def _faults(tool: ToolBinding, site: Site) -> Iterator[tuple[str, str]]:
     yield from _origin_faults(tool, kind)
 
 
-def _path_faults(paths: list[str], where: str) -> Iterator[tuple[str, str]]:
-    """Each value of a call stands on exactly one path; a list's items are counted from 0."""
+def _path_faults(
+    paths: list[str], where: str, lists: AbstractSet[str] = frozenset()
+) -> Iterator[tuple[str, str]]:
+    """Each value of a call stands on exactly one path; a list's items are counted from 0.
+
+    Args:
+        paths: of one level.
+        where: their place in the binding.
+        lists: those that are another name of a list: an object may stand there too, with paths.
+    """
     split = sorted(tuple(path.split(".")) for path in paths)
     for path in split:
         if not all(path):
             yield f"{where}.{'.'.join(path)}", "expected names between the dots"
     for one, two in pairwise(split):
-        if two[: len(one)] == one:
+        if two[: len(one)] == one and (one == two or ".".join(one) not in lists):
             yield f"{where}.{'.'.join(two)}", f"expected no path within `{'.'.join(one)}`"
     children: dict[tuple[str, ...], set[str]] = {}
     for path in split:

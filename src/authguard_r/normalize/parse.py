@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
 from decimal import Decimal, InvalidOperation
 from typing import Any
 
@@ -28,7 +29,14 @@ NUMBER = re.compile(r"-?(?:0|[1-9][0-9]*)(?:\.[0-9]+)?(?:[eE][+-]?[0-9]{1,3})?")
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _SPACE = re.compile(r"[ \t\r\n]*")
 _STRING_OR_BRACKET = re.compile(r'"(?:[^"\\]|\\.)*"?|[\[\]{}]', re.DOTALL)
-_WORDS: dict[str, bool] = {"true": True, "false": False, "True": True, "False": False}
+_WORDS: dict[str, bool | None] = {
+    "true": True,
+    "True": True,
+    "false": False,
+    "False": False,
+    "null": None,
+    "None": None,
+}
 
 
 def read_text(data: bytes) -> str:
@@ -55,9 +63,39 @@ def read_json(text: str, *, where: str) -> Any:
     Raises:
         MalformedError: with the place where the text stops being JSON.
     """
+    return _checked(text, where, lambda: _STRICT.decode(text))
+
+
+def read_json_sequence(text: str, *, where: str) -> list[Any]:
+    """Return the values that strict JSON spells, one after the other, with `;` between them.
+
+    Raises:
+        MalformedError: with the place where the text stops being that.
+    """
+
+    def values() -> list[Any]:
+        found, at = [], _skip(text, 0)
+        while at < len(text):
+            value, at = _STRICT.raw_decode(text, at)
+            found.append(value)
+            at = _skip(text, at)
+            if at < len(text):
+                if text[at] != ";":
+                    raise json.JSONDecodeError("expected `;`", text, at)
+                at = _skip(text, at + 1)
+                if at == len(text):
+                    raise json.JSONDecodeError("expecting value", text, at)
+        return found
+
+    found: list[Any] = _checked(text, where, values)
+    return found
+
+
+def _checked(text: str, where: str, decode: Callable[[], Any]) -> Any:
+    """Return what a decoder reads from text whose depth is bounded, in well-formed characters."""
     _require_depth(text, where)
     try:
-        value = _STRICT.decode(text)
+        value = decode()
     except json.JSONDecodeError as error:
         raise MalformedError(error.msg.lower(), where=f"{where}[{error.pos}]") from error
     except (ValueError, RecursionError) as error:
@@ -70,8 +108,8 @@ def read_json(text: str, *, where: str) -> Any:
 def read_calls(text: str) -> list[tuple[str, dict[str, Any], str]]:
     """Return the calls in `name(field=literal, ...)` text, one after the other.
 
-    Calls may be separated by white space, `;` or `,`. A literal is a quoted string, a number, or a
-    truth value; nothing else is a literal, and nothing is evaluated.
+    Calls may be separated by white space, `;` or `,`. A literal is a quoted string, a number, a
+    truth value or `null`; nothing else is a literal, and nothing is evaluated.
 
     Raises:
         MalformedError: with the offset of the first thing that is no such call.

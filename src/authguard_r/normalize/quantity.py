@@ -7,8 +7,10 @@ that was authorized. Spec pages: docs/spec/normalize.md, docs/spec/binding.md#re
 
 from __future__ import annotations
 
+import struct
 from decimal import Decimal, localcontext
 from fractions import Fraction
+from math import inf
 from typing import Any
 
 from authguard_r.core.errors import MalformedError
@@ -45,7 +47,8 @@ def scale(
     top, bottom = top * more, bottom * less
     whole, left = divmod(top + offset * bottom, bottom)
     if left:
-        whole = _rounded(Fraction(top, bottom) + offset, parameter.rounding, where)
+        exact = Fraction(_at_own_width(value)) * per_unit + offset
+        whole = _rounded(exact, parameter.rounding, where)
     if not parameter.low <= whole <= parameter.high or abs(whole) > MAX_INTEGER:
         raise _refusal(
             Reason.VALUE_OUT_OF_RANGE,
@@ -53,6 +56,32 @@ def scale(
             where,
         )
     return whole
+
+
+def _at_own_width(value: int | Decimal, *, wide: int = 13) -> int | Decimal:
+    """Return the shortest number that is the same in 32 bits, when a double spells exactly those.
+
+    A message with `float32` fields prints 0.8 as 0.800000011920929.
+
+    Args:
+        value: as it was written.
+        wide: digits from which it may be such a number.
+    """
+    if len(Decimal(value).as_tuple().digits) < wide:
+        return value
+    double = float(value)
+    if Decimal(repr(double)) != value or _single(double) != double:
+        return value
+    shorter = (f"{double:.{digits}g}" for digits in range(1, 10))
+    return next(Decimal(text) for text in shorter if _single(float(text)) == double)
+
+
+def _single(number: float) -> float:
+    """Return the nearest number of 32 bits; infinite when there is none."""
+    try:
+        return float(struct.unpack("<f", struct.pack("<f", number))[0])
+    except OverflowError:
+        return inf
 
 
 def _rounded(exact: Fraction, rounding: Rounding, where: str) -> int:

@@ -68,6 +68,14 @@ WRITERS: dict[Dialect, Callable[..., str]] = {
 }
 
 
+def name_place(dialect: Dialect, number: int, *calls: Call) -> str:
+    """Return where the name of a call's tool stands."""
+    found = place(dialect, number, *calls)
+    if dialect is Dialect.JSON:
+        return f"{found}.tool"
+    return found.replace("arguments", "name") if dialect is Dialect.OPENAI else found
+
+
 def place(dialect: Dialect, number: int, *calls: Call) -> str:
     """Return where the call stands in a plan written in the dialect."""
     if dialect is Dialect.JSON:

@@ -25,7 +25,7 @@ from authguard_r.site.model import Parameter, Rounding
 from fixtures import scenarios
 from fixtures.amount import amount
 from fixtures.cases import case
-from unit.normalize.dialogue import WRITERS, Call, as_json, binder, place, read, refused
+from unit.normalize.dialogue import WRITERS, Call, as_json, binder, name_place, place, read, refused
 
 GO = ("navigate_to", {"destination": "Dock"})
 SCAN: Call = ("scan", {})
@@ -238,7 +238,8 @@ def test_a_call_with_one_fault_is_refused_in_its_place_and_without_it_is_not() -
         for dialect in WRITERS:
             with case(name, dialect):
                 write = WRITERS[dialect]
-                refused(write(bad), reason, place(dialect, 0, bad) + field, dialect)
+                at = name_place if reason is Reason.TOOL_UNKNOWN else place
+                refused(write(bad), reason, at(dialect, 0, bad) + field, dialect)
                 assert len(read(write(good), dialect).steps) == 1
 
 
@@ -248,9 +249,8 @@ def test_one_bad_call_refuses_the_whole_plan() -> None:
         for dialect in WRITERS:
             with case(name, dialect):
                 calls = (good, bad, good)
-                refused(
-                    WRITERS[dialect](*calls), reason, place(dialect, 1, *calls) + field, dialect
-                )
+                at = name_place if reason is Reason.TOOL_UNKNOWN else place
+                refused(WRITERS[dialect](*calls), reason, at(dialect, 1, *calls) + field, dialect)
 
 
 def test_every_reason_of_the_binder_has_a_vector_here() -> None:
@@ -267,9 +267,9 @@ def test_every_reason_of_the_binder_has_a_vector_here() -> None:
 
 
 def test_a_value_that_only_json_can_say_is_no_value() -> None:
-    """Null is not absent; a list of one is not its item."""
+    """A list of one is not its item."""
     for field in ["destination", "speed", "behavior_tree"]:
-        for value in [None, [], {}, ["Dock"], {"name": "Dock"}]:
+        for value in [[], {}, ["Dock"], {"name": "Dock"}]:
             with case(field, value):
                 reason = Reason.FIELD_REFUSED if field == "behavior_tree" else Reason.VALUE_INVALID
                 for dialect in (Dialect.JSON, Dialect.OPENAI):
@@ -277,11 +277,23 @@ def test_a_value_that_only_json_can_say_is_no_value() -> None:
                     refused(WRITERS[dialect](call), reason, f"{place(dialect, 0)}.{field}", dialect)
 
 
+def test_null_leaves_an_optional_argument_out_and_is_no_value_of_a_needed_one() -> None:
+    """Many models write every argument of a schema, and null where they mean none (L31)."""
+    for dialect in WRITERS:
+        with case(dialect):
+            given = {"destination": "Dock", "speed": None, "via": None, "behavior_tree": None}
+            plan = read(WRITERS[dialect](("navigate_to", given)), dialect)
+            without = read(WRITERS[dialect](("navigate_to", {"destination": "Dock"})), dialect)
+            assert plan.steps == without.steps
+            call = ("navigate_to", {"destination": None})
+            where = f"{place(dialect, 0)}.destination"
+            refused(WRITERS[dialect](call), Reason.VALUE_INVALID, where, dialect)
+
+
 def test_a_route_with_one_fault_is_refused_at_its_entry() -> None:
     for via, reason, where in [
         ("Corridor", Reason.VALUE_INVALID, "via"),
         ({"0": "Corridor"}, Reason.VALUE_INVALID, "via"),
-        (None, Reason.VALUE_INVALID, "via"),
         (["Corridor", "Nowhere"], Reason.NAME_UNKNOWN, "via[1]"),
         (["Corridor", 7], Reason.VALUE_INVALID, "via[1]"),
         ([["Corridor"]], Reason.VALUE_INVALID, "via[0]"),

@@ -318,3 +318,30 @@ def test_the_shipped_fields_of_velocity_commands_are_those_of_their_messages() -
     }
     read = tuple(s for n, text in texts.items() for s in read_interface(text, name=f"{n}.msg"))
     assert shipped_interface("cmd-vel") == read
+
+
+def through(poses: Any) -> Call:
+    goal = {"op": "send_action_goal", "action": "/navigate_through_poses", "feedback": True}
+    kind = {"action_type": "nav2_msgs/action/NavigateThroughPoses", "args": {"poses": poses}}
+    (call,) = read_plan(json.dumps({**goal, **kind}), Dialect.AUTO)
+    return call
+
+
+def test_poses_of_jazzy_and_of_kilted_are_one_action_and_no_third_form_is() -> None:
+    """Until Kilted `poses` is a list of stamped poses, then an object with the list in `goals`."""
+    binding = convert(binding_source("nav2"), Binding, where="nav2")
+    place = probe_site(binding, standard_words())
+    binder = Binder(place, binding)
+    spot = {"header": {"frame_id": "map"}, "pose": {"position": {"x": 1, "y": 1}}}
+    kilted = binder.bind(through({"goals": [spot], "header": {"frame_id": "map"}}))
+    assert binder.bind(through([spot])) == kilted
+    for poses in (
+        {"goals": {"goals": [spot]}},
+        {"goals": [[spot]]},
+        [[spot]],
+        [],
+        "x",
+        {"": [spot]},
+    ):
+        with case(poses), pytest.raises(MalformedError):
+            binder.bind(through(poses))

@@ -38,7 +38,9 @@ def refused(text: str, reason: Reason, where: str) -> MalformedError:
 
 
 def test_every_dialect_has_a_writer() -> None:
-    assert {dialect for dialect, _, _ in WAYS.values()} == set(Dialect) - {Dialect.AUTO}
+    """Those of one call, and the declared one, are in the table of reply formats."""
+    other = {Dialect.AUTO, Dialect.HARMONY, Dialect.REACT, Dialect.REPLY}
+    assert {dialect for dialect, _, _ in WAYS.values()} == set(Dialect) - other
 
 
 def test_what_was_written_is_read_in_the_named_dialect() -> None:
@@ -83,11 +85,14 @@ def test_as_many_calls_as_allowed_pass_and_one_more_refuses_all() -> None:
             assert (caught.value.reason, caught.value.where) == (Reason.INPUT_TOO_LARGE, "input")
 
 
+#: The dialects whose calls stand within tags.
+TAGGED = {Dialect.HERMES, Dialect.MISTRAL, Dialect.LLAMA, Dialect.DEEPSEEK}
 #: What models write around a plan, before and after.
 AROUND = [
     ("Sure! ", ""),
-    ("```\n", "\n```"),
-    ("```json\n", "\n```"),
+    ("```\n", ""),
+    ("```json\n", "\n```\n```"),
+    ("<tool_call>", "</tool_call>"),
     ("", "\nI hope that this helps!"),
     ("", " // done"),
     ("", ";"),
@@ -105,6 +110,8 @@ def test_what_is_wrapped_around_a_plan_is_refused_and_not_unwrapped() -> None:
             with case(way, named):
                 dialect, write, calls = WAYS[way]
                 for before, after in AROUND:
+                    if dialect in TAGGED and not after:
+                        continue  # free text may stand before the first tag
                     text = f"{before}{write(*calls)}{after}"
                     if after == ";" and (
                         dialect is Dialect.CALLS or (dialect is Dialect.GO2 and not named)
@@ -132,8 +139,8 @@ def test_json_that_no_dialect_has_is_refused() -> None:
         {},
         {"steps": []},
         {"Tool": "go", "arguments": {}},
-        {"name": "go", "arguments": {}},
-        {"type": "function", "name": "go"},
+        {"Name": "go", "arguments": {}},
+        {"type": "function", "function_name": "go"},
         {"content": []},
         {"content": [{"type": "tool_use", "id": "a", "name": "go", "input": {}}]},
         [1],
@@ -153,7 +160,6 @@ def test_text_that_begins_like_no_dialect_is_refused() -> None:
         ("go", "input[0]"),
         ("  Go to the dock.", "input[2]"),
         ("1. Find the mug", "input[0]"),
-        ("1) find Mug", "input[0]"),
         ("0. find Mug", "input[0]"),
         ("1.find Mug", "input[0]"),
         ("Find Mug", "input[0]"),

@@ -5,14 +5,17 @@ from __future__ import annotations
 
 import re
 
-from authguard_r.normalize.dialects import Dialect, read_plan, read_reply
+from authguard_r.normalize.dialects import Dialect, ReplyForm, read_reply
 from authguard_r.normalize.dialects.python_code import MAX_CODE
 from authguard_r.normalize.parse import MAX_CALLS, MAX_DEPTH, MAX_TEXT
 from fixtures import scenarios
 from fixtures.cases import case
 
 PAGE = (scenarios.ROOT / "docs" / "spec" / "normalize.md").read_text(encoding="utf-8")
-EXAMPLES = re.findall(r"^### `(\w+)`\n\n```\w+\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+_EXAMPLE = re.compile(r"^### `(\w+)`\n\n(`{3,})\w+\n(.*?)^\2$", re.MULTILINE | re.DOTALL)
+EXAMPLES = [(found[1], found[3]) for found in _EXAMPLE.finditer(PAGE)]
+#: What the example of `reply` declares, as the page says.
+FORM = ReplyForm(list="steps", tool="action", arguments="params", text=("thought",))
 
 
 def test_every_dialect_has_its_row_and_its_example() -> None:
@@ -28,8 +31,8 @@ def test_every_example_is_read_in_its_dialect() -> None:
             dialect = Dialect(name)
             plans = text.splitlines() if dialect is Dialect.SPINE else [text]
             for plan in plans:
-                calls = read_plan(plan, dialect)
-                reading = read_reply(plan, Dialect.AUTO)
+                calls = read_reply(plan, dialect, FORM).calls
+                reading = read_reply(plan, Dialect.AUTO, FORM)
                 assert reading.calls == calls or dialect is Dialect.GO2
                 assert reading.dialect is (Dialect.CALLS if dialect is Dialect.GO2 else dialect)
 

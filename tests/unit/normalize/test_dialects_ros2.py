@@ -62,7 +62,7 @@ def test_another_operation_is_refused() -> None:
 
 def test_another_field_is_refused() -> None:
     for plan, where in [
-        ({**GOAL, "feedback": True}, "input.feedback"),
+        ({**GOAL, "feedbacks": True}, "input.feedbacks"),
         ({**GOAL, "type": "m/action/Go"}, "input.type"),
         ({**GOAL, "goal": {}}, "input.goal"),
         ({**MESSAGE, "latch": True}, "input.latch"),

@@ -51,8 +51,8 @@ def test_a_finished_message_is_its_tool_use_blocks_in_order(reason: str) -> None
         stop_reason=reason,
     )
     assert read_plan(text, Dialect.AUTO) == (
-        Call("go", {"to": "Dock"}, "content[2].input"),
-        Call("nod", {}, "content[4].input"),
+        Call("go", {"to": "Dock"}, "content[2].input", "content[2].name"),
+        Call("nod", {}, "content[4].input", "content[4].name"),
     )
 
 
@@ -151,12 +151,11 @@ def params(**changes: Any) -> str:
 
 
 def test_one_request_and_a_list_of_them_are_read_with_their_places() -> None:
-    where = "params.arguments"
-    assert read_plan(as_mcp(GO), Dialect.MCP) == (Call(*GO, f"input.{where}"),)
-    assert read_plan(as_mcp(GO, GO), Dialect.MCP) == (
-        Call(*GO, f"input[0].{where}"),
-        Call(*GO, f"input[1].{where}"),
-    )
+    def at(request: str) -> Call:
+        return Call(*GO, f"{request}.params.arguments", f"{request}.params.name")
+
+    assert read_plan(as_mcp(GO), Dialect.MCP) == (at("input"),)
+    assert read_plan(as_mcp(GO, GO), Dialect.MCP) == (at("input[0]"), at("input[1]"))
 
 
 @pytest.mark.parametrize("name", [{"id": "a-1"}, {"id": 7}, {"id": 0}])
@@ -209,9 +208,11 @@ def test_a_notification_is_refused_because_nobody_would_hear_of_a_refusal() -> N
         (request(tool="go"), "input.tool"),
         (request(result={}), "input.result"),
         (params(task={"ttl": 1}), "input.params.task"),
-        (params(_meta={"progressToken": 1}), "input.params._meta"),
-        (params(_meta=None), "input.params._meta"),
-        (params(_meta=[]), "input.params._meta"),
+        (
+            params(_meta={"progressToken": 1, "authguard-r/key": "x"}),
+            "input.params._meta.authguard-r/key",
+        ),
+        (params(_meta={"x": 1}), "input.params._meta.x"),
     ],
 )
 def test_a_request_has_no_other_field(text: str, where: str) -> None:

@@ -110,18 +110,16 @@ def test_an_unknown_verb_refuses_the_steps_beside_it() -> None:
         "then find Cup",
         "find(Cup)",
         "- find Cup",
-        "1) find Cup",
+        "1] find Cup",
         "1.find Cup",
         "01. find Cup",
-        "1. 1. find Cup",
         "# find Cup",
         "I will find the cup now.",
         "__import__('os')",
     ]:
         with case(step):
             refused(json.dumps(["find Cup", step]), "input[1]", Reason.TOOL_UNKNOWN)
-            if not step.startswith("1. "):
-                refused(f"find Cup\n{step}", "line[2]", Reason.TOOL_UNKNOWN)
+            refused(f"find Cup\n{step}", "line[2]", Reason.TOOL_UNKNOWN)
 
 
 def test_names_that_are_missing_or_not_plain_words_are_refused() -> None:

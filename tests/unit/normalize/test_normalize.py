@@ -99,7 +99,6 @@ CODE = [
     "cos\nsystem\n(S'touch {path}'\ntR.",
     "$(touch {path})",
     "`touch {path}`",
-    "navigate_to(destination='Dock')\n#{{`touch {path}`}}",
     "{{% for x in ().__class__.__bases__ %}}{{% endfor %}}",
     "!!python/object/apply:os.system ['touch {path}']",
 ]
@@ -122,7 +121,7 @@ def test_code_in_a_value_is_text_that_names_nothing(tmp_path: Path) -> None:
         to_text = as_json(("navigate_to", {"destination": text}))
         with case(code):
             refused(to_text, Reason.NAME_UNKNOWN, "plan[0].destination")
-            refused(as_json((text, {})), Reason.TOOL_UNKNOWN, "plan[0]")
+            refused(as_json((text, {})), Reason.TOOL_UNKNOWN, "plan[0].tool")
             read(as_json(("say", {"text": text})))
             assert not target.exists()
 

@@ -138,6 +138,72 @@ def as_ros2(*calls: Call) -> str:
     return dumps(operations[0] if len(operations) == 1 else operations)
 
 
+def as_responses(*calls: Call) -> str:
+    items: list[Any] = [{"type": "message", "content": [{"text": "go(to='elsewhere')"}]}]
+    items += [
+        {"type": "function_call", "call_id": "c", "name": tool, "arguments": dumps(arguments)}
+        for tool, arguments in calls
+    ]
+    return json.dumps({"object": "response", "status": "completed", "output": items})
+
+
+def as_gemini(*calls: Call) -> str:
+    parts: list[Any] = [{"text": "go(to='elsewhere')"}]
+    parts += [{"functionCall": {"name": tool, "args": arguments}} for tool, arguments in calls]
+    return dumps({"candidates": [{"content": {"parts": parts}, "finishReason": "STOP"}]})
+
+
+def as_bedrock(*calls: Call) -> str:
+    blocks: list[Any] = [{"text": "go(to='elsewhere')"}]
+    blocks += [{"toolUse": {"toolUseId": "t", "name": tool, "input": a}} for tool, a in calls]
+    return dumps({"output": {"message": {"content": blocks}}, "stopReason": "tool_use"})
+
+
+def as_ollama(*calls: Call) -> str:
+    asked = [{"function": {"name": tool, "arguments": arguments}} for tool, arguments in calls]
+    return dumps({"message": {"content": "go()", "tool_calls": asked}, "done": True})
+
+
+def as_langchain(*calls: Call) -> str:
+    asked = [{"name": tool, "args": arguments, "id": "1"} for tool, arguments in calls]
+    return dumps({"type": "ai", "content": "go()", "tool_calls": asked})
+
+
+def named(tool: str, arguments: dict[str, Any], key: str = "arguments") -> str:
+    return dumps({"name": tool, key: arguments})
+
+
+def as_hermes(*calls: Call) -> str:
+    return "Off.\n" + "\n".join(f"<tool_call>\n{named(*call)}\n</tool_call>" for call in calls)
+
+
+def as_mistral(*calls: Call) -> str:
+    return f"[TOOL_CALLS] [{', '.join(named(*call) for call in calls)}]"
+
+
+def as_mistral_names(*calls: Call) -> str:
+    return "".join(f"[TOOL_CALLS]{tool}[ARGS]{dumps(arguments)}" for tool, arguments in calls)
+
+
+def as_llama(*calls: Call) -> str:
+    return "<|python_tag|>" + "; ".join(named(*call, "parameters") for call in calls)
+
+
+def as_pythonic(*calls: Call) -> str:
+    return "[" + ", ".join(map(code, calls)) + "]"
+
+
+def as_deepseek(*calls: Call) -> str:
+    block = chr(0x2581)
+
+    def tag(words: str) -> str:
+        return f"<\uff5c{words.replace(' ', block)}\uff5c>"
+
+    begin, sep, end = tag("tool call begin"), tag("tool sep"), tag("tool call end")
+    inner = "".join(f"{begin}{tool}{sep}{dumps(a)}{end}" for tool, a in calls)
+    return tag("tool calls begin") + inner + tag("tool calls end")
+
+
 def as_exact_openai(*calls: Call) -> str:
     whole = json.loads(as_openai(*[(tool, {}) for tool, _ in calls]))
     items = whole["choices"][0]["message"]["tool_calls"]
@@ -180,7 +246,18 @@ GOALS: tuple[Call, ...] = (
 WAYS: dict[str, tuple[Dialect, Callable[..., str], tuple[Call, ...]]] = {
     "openai": (Dialect.OPENAI, as_exact_openai, NESTED),
     "anthropic": (Dialect.ANTHROPIC, as_anthropic, NESTED),
+    "responses": (Dialect.RESPONSES, as_responses, NESTED),
+    "gemini": (Dialect.GEMINI, as_gemini, NESTED),
+    "bedrock": (Dialect.BEDROCK, as_bedrock, NESTED),
+    "ollama": (Dialect.OLLAMA, as_ollama, NESTED),
+    "langchain": (Dialect.LANGCHAIN, as_langchain, NESTED),
     "mcp": (Dialect.MCP, as_mcp, NESTED),
+    "hermes": (Dialect.HERMES, as_hermes, NESTED),
+    "mistral": (Dialect.MISTRAL, as_mistral, NESTED),
+    "mistral, names": (Dialect.MISTRAL, as_mistral_names, NESTED),
+    "llama": (Dialect.LLAMA, as_llama, NESTED),
+    "pythonic": (Dialect.PYTHONIC, as_pythonic, NESTED),
+    "deepseek": (Dialect.DEEPSEEK, as_deepseek, NESTED),
     "json": (Dialect.JSON, as_bare, NESTED),
     "calls": (Dialect.CALLS, as_exact_calls, NAMED),
     "python": (Dialect.PYTHON, as_python, NESTED),

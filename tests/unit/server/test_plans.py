@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from contextlib import suppress
 from pathlib import Path
@@ -16,6 +17,7 @@ from authguard_r.core.identifiers import Identifier
 from authguard_r.core.mission import OnRefusal
 from authguard_r.core.provenance import TRUST, Label
 from authguard_r.enforcement.signed_orders import Verb
+from authguard_r.integrations.tools.planner import CallOutcome
 from authguard_r.server import sessions
 from authguard_r.server.fair_queue import ServedClient
 from authguard_r.store.sqlite import open_store
@@ -33,6 +35,7 @@ from authguard_r.wire.messages import (
     Propose,
 )
 from fixtures import scenarios
+from fixtures.cases import case
 from fixtures.limits import bounded
 from unit.server.demo_site import (
     FORBIDDEN,
@@ -568,6 +571,41 @@ def test_a_planner_is_told_what_the_configuration_says(level: Disclosure) -> Non
             keys |= {"expected", "got"} if level is Disclosure.FULL else set()
             assert all(set(finding) == keys for finding in step["findings"])
         assert ("action" in step) is (level is Disclosure.FULL)
+
+
+@pytest.mark.parametrize("level", Disclosure)
+def test_what_could_not_be_read_is_told_as_a_finding_where_the_configuration_shows_it(
+    level: Disclosure,
+) -> None:
+    text = b'{"tool": "navigate_to", "arguments": {"destination": "Dock", "speed": "fast"}}'
+    with DemoGate(disclosure=level) as house:
+        house.activate()
+        (step,) = house.propose(planner(house), text)["steps"]
+    assert (step["reasons"], step["retryable"]) == (["VALUE_INVALID"], False)
+    place = {"field": "input.speed", "reason": "VALUE_INVALID", "step": 0}
+    shown = {**place, "expected": "expected a number", "got": ""}
+    wanted = {Disclosure.CODES: None, Disclosure.FIELDS: [place], Disclosure.FULL: [shown]}
+    assert step.get("findings") == wanted[level]
+    said = CallOutcome(step=step).refusal.splitlines()
+    assert said == [
+        "refused: VALUE_INVALID",
+        *([] if level is Disclosure.CODES else ["input.speed: expected a number"]),
+        "the same call will not pass later",
+    ]
+
+
+def test_what_stood_around_the_calls_is_in_the_record_of_each_step() -> None:
+    call = json.dumps({"name": "scan", "arguments": {}})
+    for text, around in [
+        (f"I look.\n<tool_call>{call}</tool_call>", "hermes, 7 characters before it"),
+        (f"```json\n{call}\n```\nDone.", "fence, 5 characters after it"),
+        (call, None),
+    ]:
+        with case(text), DemoGate() as house:
+            house.activate()
+            house.propose(planner(house), text.encode())
+            (decision,) = (record for record in house.log() if record.kind == "decision")
+            assert decision.open.get("around") == around
 
 
 # two at once

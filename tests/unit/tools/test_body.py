@@ -15,7 +15,9 @@ from msgspec.structs import replace
 
 from authguard_r.client.controller import ExecutionNews
 from authguard_r.client.link import ProcessLog
+from authguard_r.core.action import Action
 from authguard_r.core.errors import ControllerError
+from authguard_r.core.identifiers import ActionType, Digest, ToolId
 from authguard_r.core.standing import Outcome
 from authguard_r.integrations.tools import body as body_module
 from authguard_r.integrations.tools.body import ToolBody, ToolDrivers, ToolGoal
@@ -41,6 +43,7 @@ class Robot:
     """A server that answers each call with the next of its words; the last stays."""
 
     ready = True
+    is_ticket_checked = True
 
     def __init__(self, **words: list[ToolAnswer | CallError | None]) -> None:
         self.words = words
@@ -49,7 +52,8 @@ class Robot:
     async def call(
         self, tool: str, arguments: dict[str, Any], within_s: float, *, ticket: str | None = None
     ) -> ToolAnswer:
-        assert ticket == (TICKET if tool == "navigate_to" else None)
+        if self.is_ticket_checked:
+            assert ticket == (TICKET if tool == "navigate_to" else None)
         self.calls.append(tool)
         left = self.words[tool]
         word = left.pop(0) if len(left) > 1 else left[0]
@@ -262,3 +266,78 @@ def test_a_fault_while_an_answer_is_carried_ends_its_call_and_is_said(capsys: An
     said = capsys.readouterr().err
     assert "ZeroDivisionError" in said
     assert "pattern" not in said
+
+
+# -- beside ----------------------------------------------------------------------------------------
+
+SCAN = Action(type=ActionType("scan_obstacles"), tool=ToolId("lidar"))
+
+
+def beside_body(robot: Robot, *stops: str, moves: bool = False) -> ToolBody:
+    """Return a body on a site whose scans may run beside other actions."""
+    kind = scenarios.site().vocabulary[SCAN.type]
+    words = {**scenarios.site().vocabulary, SCAN.type: replace(kind, beside=True, moves=moves)}
+    site = replace(scenarios.site(), vocabulary=words)
+    means = ToolDrivers(
+        site=site,
+        binder=Binder(site, scenarios.binding()),
+        rebuilder=Rebuilder(site, scenarios.binding()),
+        stops=tuple(Call(stop, {"text": "halt"}, "stop") for stop in stops),
+    )
+    return ToolBody(scenarios.RID, robot, means, lambda: None, ProcessLog())
+
+
+def ticket(number: int) -> Digest:
+    return Digest(str(number) * 43)
+
+
+def test_what_may_run_beside_does_and_its_end_is_its_own() -> None:
+    async def work() -> None:
+        robot = Robot(navigate_to=[None], scan=[DONE], say=[DONE])
+        robot.is_ticket_checked = False
+        body = beside_body(robot, "say")
+        drive = body.begin(GO, TICKET)
+        assert (body.has_room(SCAN), body.has_room(GO)) == (True, False)
+        scan = body.begin(SCAN, ticket(1))
+        await until(lambda: scan.outcome() is not None)
+        assert (scan.outcome(), drive.outcome()) == (Outcome.SUCCEEDED, None)
+        made = body.call_of(ticket(1))
+        assert made is not None
+        assert (made.tool, body.call_of(TICKET)) == ("scan", None)
+        body.brake()
+        await until(lambda: drive.outcome() is not None)
+        assert body.stands
+
+    asyncio.run(work())
+
+
+def test_a_stop_ends_what_runs_beside_and_no_more_than_a_few_run_at_once() -> None:
+    async def work() -> None:
+        robot = Robot(navigate_to=[None], scan=[None], say=[DONE])
+        robot.is_ticket_checked = False
+        body = beside_body(robot, "say")
+        scans = [body.begin(SCAN, ticket(number)) for number in range(body_module.MOST_BESIDE)]
+        assert (body.has_room(SCAN), body.has_room(GO)) == (False, True)
+        drive = body.begin(GO, TICKET)
+        await until(lambda: len(robot.calls) > len(scans))
+        body.brake()
+        assert {scan.outcome() for scan in scans} == {Outcome.ABORTED}
+        await until(lambda: drive.outcome() is not None)
+        assert (body.stands, robot.calls.count("say")) == (True, 1)
+        await until(lambda: body.has_room(SCAN))
+        last = body.begin(SCAN, ticket(9))
+        await body.let_go()
+        assert last.outcome() is Outcome.UNKNOWN
+
+    asyncio.run(work())
+
+
+def test_what_moves_the_robot_never_runs_beside() -> None:
+    body = beside_body(Robot(navigate_to=[None], scan=[None]), moves=True)
+
+    async def work() -> None:
+        body.begin(GO, TICKET)
+        assert not body.has_room(SCAN)
+        await body.let_go()
+
+    asyncio.run(work())

@@ -38,7 +38,9 @@ from authguard_r.site.check import SiteFault
 from authguard_r.site.model import Site
 
 #: Values of every kind that a dialect can read, none of them likely to be meant.
-_STRANGE: tuple[Any, ...] = ("", "elsewhere", 0, -1, 10**9, True, False, [], {}, ["x"], {"x": 1})
+_STRANGE: tuple[Any, ...] = (
+    *("", "elsewhere", 0, -1, 10**9, True, False, None, [], {}, ["x"], {"x": 1}),
+)
 #: A name that no interface has.
 _FOREIGN = "no_such_field"
 _UNPROVEN = (

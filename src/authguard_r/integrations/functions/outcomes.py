@@ -50,7 +50,7 @@ class Repeated(NotDone):
 
 def refused(asked: CallOutcome) -> Refused:
     """Return the refusal that the gate answered with."""
-    return Refused("refused: " + ", ".join(asked.step["reasons"]), report_of(asked))
+    return Refused(asked.refusal, report_of(asked))
 
 
 def undecided(error: AuthGuardError) -> Refused:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Awaitable, Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from importlib.metadata import version
 from typing import Any
 
@@ -25,8 +25,10 @@ from authguard_r.integrations.mcp.answers import answer_of, texts_of
 from authguard_r.integrations.mcp.pins import Pins
 from authguard_r.integrations.mcp.turns import Turns
 from authguard_r.integrations.mcp.unreadable import UNREADABLE
+from authguard_r.integrations.tools.call_schema import narrowed
 from authguard_r.integrations.tools.planner import CallOutcome, LostError, ToolPlanner
 from authguard_r.normalize.binding import Binding, ways_of
+from authguard_r.normalize.dialects import Call
 from authguard_r.site.model import Site
 
 #: Where a client names its proposal, so that asking again is the same one.
@@ -43,9 +45,17 @@ def shown(pins: Pins, binding: Binding, site: Site) -> list[types.Tool]:
     """Return the tools that a planner is shown: bound ones, of which some way may be granted.
 
     A tool that could change the robot's own belief, in any way of calling it, is hidden. What its
-    server says of its harmlessness is left out.
+    server says of its harmlessness is left out. The schema is narrowed to what the binding reads.
     """
-    return [tool for tool in tools_of(pins) if fate(tool.name, binding, site).startswith("shown")]
+    return [
+        types.Tool(
+            name=pin.name,
+            description=pin.description,
+            input_schema=narrowed(pin.schema, pin.name, binding, site),
+        )
+        for pin in pins.tools
+        if fate(pin.name, binding, site).startswith("shown")
+    ]
 
 
 def tools_of(pins: Pins) -> list[types.Tool]:
@@ -54,6 +64,17 @@ def tools_of(pins: Pins) -> list[types.Tool]:
         types.Tool(name=pin.name, description=pin.description, input_schema=pin.schema)
         for pin in pins.tools
     ]
+
+
+def beside_tools(binding: Binding, site: Site) -> frozenset[str]:
+    """Return the tools of which every way may run beside another action, and moves nothing."""
+    kinds = {
+        name: [site.vocabulary[way.tool.type] for way in ways_of(binding, name)]
+        for name in binding.tools
+    }
+    return frozenset(
+        n for n, all_of in kinds.items() if all(k.beside and not k.moves for k in all_of)
+    )
 
 
 def fate(name: str, binding: Binding, site: Site) -> str:
@@ -72,7 +93,9 @@ class Front:
 
     Args:
         planner: proposes to the gate.
+        aside: proposes what runs beside another action, and its tools.
         tools: returns what is shown now.
+        made: returns the call that was made for a release's ticket.
         unguarded: calls a tool as the planner wrote it; for a gate in shadow mode, which releases
             nothing and only says what it would have done. None: nothing is called from here.
     """
@@ -80,11 +103,15 @@ class Front:
     def __init__(
         self,
         planner: ToolPlanner,
+        aside: tuple[ToolPlanner, frozenset[str]],
         tools: Callable[[], list[types.Tool]],
+        made: Callable[[str | None], Call | None],
         unguarded: Unguarded | None = None,
     ) -> None:
         self._planner = planner
+        self._aside, self._beside_tools = aside
         self._tools = tools
+        self._made = made
         self._unguarded = unguarded
         self._turns = Turns()
         self._waiting = 0
@@ -127,10 +154,13 @@ class Front:
             if UNREADABLE in arguments:
                 await self._planner.unreadable(params.name, str(arguments[UNREADABLE]))
                 raise MalformedError("expected strict JSON, each key once", where="arguments")
+            is_beside = params.name in self._beside_tools
+            planner = self._aside if is_beside else self._planner
+            turn = nullcontext() if is_beside else self._turns.turn(session)
             with self._room(arguments):
-                async with self._turns.turn(session), self._planner.turn:
+                async with turn, planner.turn:
                     key = named(params, again=again)
-                    asked = await self._planner.propose(params.name, arguments, key=key)
+                    asked = await planner.propose(params.name, arguments, key=key)
                     if self._unguarded is not None:
                         return await self._beside(params.name, arguments, asked), None
         except LostError as lost:
@@ -138,7 +168,9 @@ class Front:
         except AuthGuardError as error:
             return undecided(error), None
         waits = asked.execution is None and asked.step["outcome"] == "request_approval"
-        return answered(asked), asked.step.get("required_approvals", 0) if waits else None
+        return answered(asked, self._made(asked.ticket)), asked.step.get(
+            "required_approvals", 0
+        ) if waits else None
 
     async def _beside(
         self, tool: str, arguments: dict[str, Any], asked: CallOutcome
@@ -201,12 +233,19 @@ def size_of(arguments: dict[str, Any]) -> int:
         raise MalformedError("not JSON", where="arguments") from error
 
 
-def answered(asked: CallOutcome) -> types.CallToolResult:
-    """Return what a planner sees of its call."""
+def answered(asked: CallOutcome, made: Call | None = None) -> types.CallToolResult:
+    """Return what a planner sees of its call.
+
+    Args:
+        asked: how it went.
+        made: what was called: a place may have become its approach point, a number a rounded one.
+    """
     outcome = asked.execution
     verdict = {**asked.verdict, "execution": outcome, "repeated": asked.repeated}
+    if made is not None:
+        verdict["dispatched"] = {"tool": made.tool, "arguments": made.arguments}
     if outcome is None:
-        return refused(verdict, "refused: " + ", ".join(asked.step["reasons"]))
+        return refused(verdict, asked.refusal)
     if asked.results:
         try:
             answer = answer_of(asked.result())

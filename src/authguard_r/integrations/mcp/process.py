@@ -17,7 +17,7 @@ from msgspec import field
 
 from authguard_r.client.link import ProcessLog
 from authguard_r.core.errors import AuthGuardError
-from authguard_r.integrations.mcp.front import Front, refused, shown, tools_of
+from authguard_r.integrations.mcp.front import Front, beside_tools, refused, shown, tools_of
 from authguard_r.integrations.mcp.pins import Pins
 from authguard_r.integrations.mcp.standard import standard_streams
 from authguard_r.integrations.mcp.upstream import Upstream
@@ -60,7 +60,11 @@ class Gateway:
         )
         self._ends = Ends(setup, self.upstream, log)
         self.front = Front(
-            self._ends.planner, self._tools, self._unguarded if setup.shadow else None
+            self._ends.planner,
+            (self._ends.aside, beside_tools(setup.binding, setup.site)),
+            self._tools,
+            self._ends.call_of,
+            self._unguarded if setup.shadow else None,
         )
 
     @asynccontextmanager

@@ -33,6 +33,8 @@ from authguard_r.site.model import ActionModel, Site
 LONGEST_S = 3_600.0
 #: A call that stops the robot is answered within this, in seconds.
 STOP_S = 1.5
+#: Most calls that run beside another.
+MOST_BESIDE = 4
 #: Between two tries to stop it, and between two looks at one, in seconds.
 AGAIN_S, _LOOK_S = 1.0, 0.01
 
@@ -138,15 +140,28 @@ class ToolBody:
         self._is_stopping = False
         self._is_over = False
         self._task: asyncio.Task[None] | None = None
+        self._beside: dict[asyncio.Task[None], ToolGoal] = {}
+        self._made_call: tuple[Digest, Call] | None = None
+
+    def call_of(self, ticket: str | None) -> Call | None:
+        """Return the call that was made for a release, while it is the last one; else None."""
+        known = self._made_call
+        return known[1] if known is not None and known[0] == ticket else None
 
     @property
     def stands(self) -> bool:
         """True while it did not have to move, or an answer says that it stands."""
         return not (self._is_told or self._was_told)
 
-    def has_room(self, action: Action) -> bool:  # noqa: ARG002
-        """Return False: it makes one call at a time."""
-        return False
+    def has_room(self, action: Action) -> bool:
+        """Return True while there is room: one call, and some `beside` it, as the site says."""
+        if self._is_beside(action):
+            return len(self._beside) < MOST_BESIDE
+        return not self._runs()
+
+    def _is_beside(self, action: Action) -> bool:
+        kind = self._means.site.vocabulary[action.type]
+        return kind.beside and not kind.moves
 
     def begin(self, action: Action, ticket: Digest) -> ToolGoal:
         """Make the call.
@@ -163,9 +178,14 @@ class ToolBody:
             call = self._means.rebuilder.rebuild(action)
         except MalformedError as error:
             raise ControllerError(error.message) from error
-        handle = self._handle = ToolGoal(self._means.site.vocabulary[action.type])
+        handle = ToolGoal(self._means.site.vocabulary[action.type])
         before, self._is_told = self._is_told, self._is_told or handle.moves
-        self._task = asyncio.ensure_future(self._carry(handle, call, ticket, before))
+        task = asyncio.ensure_future(self._carry(handle, call, ticket, before))
+        if self._is_beside(action):
+            self._beside[task] = handle
+            task.add_done_callback(self._beside.pop)
+        else:
+            self._handle, self._task = handle, task
         return handle
 
     def streams(self, action: Action) -> bool:  # noqa: ARG002 - no tool is one
@@ -183,6 +203,7 @@ class ToolBody:
 
         What could not be stopped is tried again until it was.
         """
+        self._end_beside(Outcome.ABORTED)
         if self._is_stopping or (self.stands and not self._runs()):
             return
         if self._task is not None:
@@ -203,12 +224,21 @@ class ToolBody:
             self.brake()
         with suppress(TimeoutError):
             async with asyncio.timeout(STOP_S):
-                while self._runs() or (self._is_told and self._is_stopping):
+                while self._runs() or self._beside or (self._is_told and self._is_stopping):
                     await asyncio.sleep(_LOOK_S)
+        self._end_beside(Outcome.UNKNOWN)
         if self._task is not None:
             self._task.cancel()
         if self._runs():
             self._ended(Outcome.UNKNOWN)
+
+    def _end_beside(self, outcome: Outcome) -> None:
+        """Call off what runs beside; none of it moves the robot."""
+        for task, handle in self._beside.items():
+            task.cancel()
+            handle.end(outcome)
+        if self._beside:
+            self._changed()
 
     def _runs(self) -> bool:
         return self._handle is not None and self._handle.outcome() is None
@@ -232,10 +262,13 @@ class ToolBody:
         try:
             wanted = self._means.binder.expected(call)
             made = Call(call.tool, json.loads(call_bytes(call))["arguments"], call.where)
+            self._made_call = (ticket, made)
             answer, done = await self._made(made, wanted, LONGEST_S, ticket)
         except CallError as error:
             if not error.sent:
-                self._is_told, outcome = before, Outcome.NOT_STARTED
+                outcome = Outcome.NOT_STARTED
+                if handle.moves:
+                    self._is_told = before
         except Exception as error:  # noqa: BLE001 - whatever it is, the call is over
             self._log.say("fault", "tools", tool=call.tool, message=type(error).__name__)
         else:

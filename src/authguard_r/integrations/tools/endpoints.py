@@ -86,16 +86,17 @@ class Ends:
         self._place = place
         self._server = server
         speaks = words_of(place.site, place.binding)
-        self.planner = ToolPlanner(
-            GatePlace(
-                robot=place.robot,
-                run=place.run,
-                trust=place.trust,
-                client=place.client,
-                mode=Mode.SHADOW if place.shadow else Mode.ENFORCE,
-                speaks=speaks,
-            )
+        gate = GatePlace(
+            robot=place.robot,
+            run=place.run,
+            trust=place.trust,
+            client=place.client,
+            mode=Mode.SHADOW if place.shadow else Mode.ENFORCE,
+            speaks=speaks,
         )
+        self.planner = ToolPlanner(gate)
+        #: the same planner to the gate, on a connection of its own, for what runs beside
+        self.aside = ToolPlanner(gate)
         means = ToolDrivers(
             site=place.site,
             binder=Binder(place.site, place.binding),
@@ -112,6 +113,10 @@ class Ends:
             ready=self._proven.set,
             speaks=speaks,
         )
+
+    def call_of(self, ticket: str | None) -> Call | None:
+        """Return the call that was made for a release, while it is the last one; else None."""
+        return self._body.call_of(ticket)
 
     def look(self) -> None:
         """Look at the server now: something of it has come, gone or ended."""
@@ -140,6 +145,7 @@ class Ends:
             finally:
                 await self._body.let_go()  # while its server is still there
                 await self.planner.close()
+                await self.aside.close()
             # after an error the group cancels them; twice would cut a clean end short
             for task in tasks:
                 task.cancel()

@@ -56,6 +56,16 @@ class CallOutcome(Struct, frozen=True, kw_only=True):
         return {name: self.step[name] for name in SHOWN if name in self.step}
 
     @property
+    def refusal(self) -> str:
+        """What a model reads of a refusal: the reasons, the disclosed places, and what next."""
+        unread = self.step.get("refusal")  # why nothing was decided: of the call's own text
+        told = [{"field": unread["where"], "expected": unread["message"]}] if unread else ()
+        places = [_place_text(finding) for finding in told or self.step.get("findings") or ()]
+        same = "may" if self.step.get("retryable") else "will not"
+        said = "refused: " + ", ".join(self.step["reasons"])
+        return "\n".join([said, *places, f"the same call {same} pass later"])
+
+    @property
     def results(self) -> tuple[str, ...]:
         """What the tool brought to light, as the gate passed it on; empty: nothing."""
         return tuple(item["result"] for item in self.brought if "result" in item)
@@ -75,6 +85,13 @@ class CallOutcome(Struct, frozen=True, kw_only=True):
     def ticket(self) -> str | None:
         """The release's ticket, where the gate sent it."""
         return next((item["ticket"] for item in reversed(self.brought) if "ticket" in item), None)
+
+
+def _place_text(finding: dict[str, Any]) -> str:
+    """Return a finding as a line: the field as the model wrote it, and what was expected."""
+    field = str(finding["field"]).removeprefix("plan[0]").removeprefix(".") or "the call"
+    said = [text for text in (finding.get("expected"), finding.get("got")) if text]
+    return f"{field}: {', got '.join(map(str, said)) or finding['reason']}"
 
 
 class LostError(Exception):

@@ -12,19 +12,21 @@ from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize.dialects.auto import PlanReading, read
 from authguard_r.normalize.dialects.call import Call, Dialect, expect_few
+from authguard_r.normalize.dialects.plain import ReplyForm
 
 
-def read_reply(text: str, dialect: Dialect) -> PlanReading:
+def read_reply(text: str, dialect: Dialect, form: ReplyForm | None = None) -> PlanReading:
     """Return the calls of a plan, in order, and the dialect that they were read in.
 
     Args:
         text: what the planner wrote; untrusted.
         dialect: how to read it; `auto` names the one that fits.
+        form: the reply's form that a binding declares; None: it declares none.
 
     Raises:
         MalformedError: broken, empty, too long, in no known dialect, or in two that differ.
     """
-    reading = read(text, dialect)
+    reading = read(text, dialect, form)
     if not reading.calls:
         raise MalformedError("expected at least one call", where="input", reason=Reason.PLAN_EMPTY)
     expect_few(len(reading.calls))
@@ -44,4 +46,4 @@ def read_plan(text: str, dialect: Dialect) -> tuple[Call, ...]:
     return read_reply(text, dialect).calls
 
 
-__all__ = ["Call", "Dialect", "PlanReading", "read_plan", "read_reply"]
+__all__ = ["Call", "Dialect", "PlanReading", "ReplyForm", "read_plan", "read_reply"]

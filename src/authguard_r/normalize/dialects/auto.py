@@ -10,7 +10,8 @@ docs/spec/normalize.md#auto
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 from msgspec import Struct
@@ -18,7 +19,12 @@ from msgspec import Struct
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize.dialects.call import Call, Dialect
-from authguard_r.normalize.dialects.plain import read_bare, read_call_text
+from authguard_r.normalize.dialects.plain import (
+    ReplyForm,
+    read_bare,
+    read_call_text,
+    read_declared,
+)
 from authguard_r.normalize.dialects.python_code import (
     read_badrobot,
     read_badrobot_reply,
@@ -26,8 +32,25 @@ from authguard_r.normalize.dialects.python_code import (
     read_go2,
 )
 from authguard_r.normalize.dialects.rosbridge import read_ros2
+from authguard_r.normalize.dialects.servers import (
+    read_bedrock,
+    read_gemini,
+    read_langchain,
+    read_ollama,
+)
 from authguard_r.normalize.dialects.spine import LIST, read_spine, read_spine_reply
-from authguard_r.normalize.dialects.tool_use import read_anthropic, read_mcp, read_openai
+from authguard_r.normalize.dialects.templates import (
+    TEMPLATES,
+    TemplateReading,
+    fenced,
+    read_pythonic,
+)
+from authguard_r.normalize.dialects.tool_use import (
+    read_anthropic,
+    read_mcp,
+    read_openai,
+    read_responses,
+)
 from authguard_r.normalize.dialects.verbs import (
     begins_with_maneuver,
     begins_with_step,
@@ -40,7 +63,12 @@ from authguard_r.normalize.parse import read_json
 #: The readers of plain data, for plans that are written in JSON.
 _OF_JSON: dict[Dialect, Callable[[Any], tuple[Call, ...]]] = {
     Dialect.OPENAI: read_openai,
+    Dialect.RESPONSES: read_responses,
     Dialect.ANTHROPIC: read_anthropic,
+    Dialect.GEMINI: read_gemini,
+    Dialect.BEDROCK: read_bedrock,
+    Dialect.OLLAMA: read_ollama,
+    Dialect.LANGCHAIN: read_langchain,
     Dialect.MCP: read_mcp,
     Dialect.ROS2: read_ros2,
     Dialect.BADROBOT: read_badrobot_reply,
@@ -57,62 +85,137 @@ _OF_TEXT: dict[Dialect, Callable[[str], tuple[Call, ...]]] = {
     Dialect.GO2: read_go2,
     Dialect.DOLPHINS: read_dolphins,
 }
-#: The key by which an object claims a dialect.
-_KEYS: tuple[tuple[str, Dialect], ...] = (
-    ("choices", Dialect.OPENAI),
-    ("stop_reason", Dialect.ANTHROPIC),
-    ("jsonrpc", Dialect.MCP),
-    ("op", Dialect.ROS2),
-    ("function", Dialect.BADROBOT),
-    ("tool", Dialect.JSON),
+#: The readers of text with tags around its calls, or of one list of them.
+_OF_TEMPLATE: dict[Dialect, Callable[[str], TemplateReading]] = {
+    Dialect.PYTHONIC: read_pythonic,
+    **{dialect: reader for _, dialect, reader in TEMPLATES},
+}
+#: The key by which an object claims a dialect, and the kind of its value.
+_KEYS: tuple[tuple[str, type[Any], Dialect], ...] = (
+    ("choices", object, Dialect.OPENAI),
+    ("output", list, Dialect.RESPONSES),
+    ("stop_reason", object, Dialect.ANTHROPIC),
+    ("candidates", object, Dialect.GEMINI),
+    ("output", dict, Dialect.BEDROCK),
+    ("done", bool, Dialect.OLLAMA),
+    ("kwargs", dict, Dialect.LANGCHAIN),
+    ("data", dict, Dialect.LANGCHAIN),
+    ("jsonrpc", object, Dialect.MCP),
+    ("op", object, Dialect.ROS2),
+    ("function", object, Dialect.BADROBOT),
+    ("tool", object, Dialect.JSON),
+    ("name", object, Dialect.JSON),
 )
 #: The dialects of which a list of objects may be.
 _LISTED = frozenset({Dialect.MCP, Dialect.ROS2, Dialect.JSON})
 _SPACE = " \t\r\n"
 _CALL = re.compile(r"[ \t\r\n]*[A-Za-z_][A-Za-z0-9_]*\(")
 _CODE = re.compile(r"[ \t\r\n]*(?:#|[A-Za-z_][A-Za-z0-9_.]*\()")
+_DOTTED = re.compile(r"[ \t\r\n]*\[[ \t\r\n]*[A-Za-z_][A-Za-z0-9_.]*\(")
+_QUOTED = re.compile(r"[=\"']")
 _SINGLE = re.compile(r"[ \t\r\n]*\{[ \t\r\n]*'")
+#: How the languages of a fence are called that hold calls of Python.
+_PYTHON = frozenset({"python", "py", "tool_code"})
 
 
 class PlanReading(Struct, frozen=True):
-    """What a plan says, and in which dialect; never `auto`."""
+    """What a plan says, and in which dialect; never `auto`.
+
+    Args:
+        dialect: the one that it was read in.
+        calls: in order.
+        around: what stood around the calls and was not looked at, for the record: `fence, 12
+            characters before it`; empty: nothing did.
+    """
 
     dialect: Dialect
     calls: tuple[Call, ...]
+    around: str = ""
 
 
-def read(text: str, dialect: Dialect) -> PlanReading:
+def read(text: str, dialect: Dialect, form: ReplyForm | None = None) -> PlanReading:
     """Return what a plan says in a dialect, or in the one that fits.
 
     Args:
         text: what the planner wrote; untrusted.
         dialect: how to read it; `auto` finds out.
+        form: the reply's form that a binding declares.
 
     Raises:
         MalformedError: broken, in no dialect, or in two that differ (`DIALECT_UNKNOWN`).
     """
     if dialect is Dialect.AUTO:
-        return _recognized(text)
+        return _unwrapped(text, form)
+    if dialect in _OF_TEMPLATE:
+        reply = _OF_TEMPLATE[dialect](text)
+        return PlanReading(dialect, reply.calls, _around(dialect, reply.before, reply.after))
     if dialect is Dialect.STEPS:
         is_list = text.lstrip(_SPACE)[:1] == "["
         calls = read_step_list(read_json(text, where="input")) if is_list else read_steps(text)
     elif dialect in _OF_TEXT:
         calls = _OF_TEXT[dialect](text)
     else:
-        calls = _OF_JSON[dialect](read_json(text, where="input"))
+        calls = _of_json(dialect, read_json(text, where="input"), form)
     return PlanReading(dialect, calls)
 
 
-def _recognized(text: str) -> PlanReading:
+def _of_json(dialect: Dialect, value: Any, form: ReplyForm | None) -> tuple[Call, ...]:
+    if dialect is not Dialect.REPLY:
+        return _OF_JSON[dialect](value)
+    if form is None:
+        raise _unknown("expected a binding that declares its `reply`", "dialect")
+    return read_declared(value, form)
+
+
+def _unwrapped(text: str, form: ReplyForm | None) -> PlanReading:
+    """Read a plan out of the one thing that is wrapped around it, or as it stands."""
+    if text.lstrip(_SPACE)[:1] in {"{", "["} and not text.lstrip(_SPACE).startswith("[TOOL_CALLS]"):
+        return _recognized(text, form)
+    shown = [(tag, dialect) for tag, dialect, _ in TEMPLATES if tag in text]
+    if "```" in text and not any(dialect is Dialect.DEEPSEEK for _, dialect in shown):
+        shown.append(("```", Dialect.AUTO))
+    if len(shown) > 1:
+        tags = " and ".join(f"`{tag}`" for tag, _ in shown[:2])
+        raise _unknown(f"expected one way to mark calls, got {tags}", "input")
+    if not shown:
+        thought, over, rest = text.partition("</think>")
+        if not over or not thought.lstrip(_SPACE).startswith("<think>"):
+            return _recognized(text, form)
+        reading = _recognized(rest, form)
+        around = _around("think", len(thought.strip(_SPACE)) + len(over), 0)
+        return PlanReading(reading.dialect, reading.calls, around)
+    if shown[0][1] is not Dialect.AUTO:
+        return read(text, shown[0][1])
+    inner, language, before, after = fenced(text)
+    reading = read(inner, Dialect.PYTHON) if language in _PYTHON else _recognized(inner, form)
+    return PlanReading(reading.dialect, reading.calls, _around("fence", before, after))
+
+
+def _around(name: str, before: int, after: int) -> str:
+    parts = ((before, "before"), (after, "after"))
+    return ", ".join([name, *(f"{n} characters {place} it" for n, place in parts if n)])
+
+
+def _recognized(text: str, form: ReplyForm | None) -> PlanReading:
     first = text.lstrip(_SPACE)[:1]
     if first not in {"{", "["}:
         return _of_words(text)
-    if first == "[" and LIST.match(text):
-        return read(text, Dialect.SPINE)
+    if first == "[" and (LIST.match(text) or _DOTTED.match(text)):
+        readers = [Dialect.SPINE, Dialect.PYTHONIC]
+        if _QUOTED.search(text):  # its refusal is the one to show
+            readers.reverse()
+        return _agreed([partial(read, text, dialect) for dialect in readers])
     if first == "{" and _SINGLE.match(text):
         return read(text, Dialect.BADROBOT)
     value = read_json(text, where="input")
-    return _agreed(value, _claims(value))
+    claims = _claims(value, form)
+    if not claims:
+        raise _unknown("no dialect has such JSON", "input")
+
+    def of(dialect: Dialect) -> PlanReading:
+        return PlanReading(dialect, _of_json(dialect, value, form))
+
+    return _agreed([partial(of, dialect) for dialect in claims])
 
 
 def _of_words(text: str) -> PlanReading:
@@ -145,42 +248,46 @@ def _code_or(error: MalformedError, text: str) -> PlanReading:
         raise error from None
 
 
-def _claims(value: Any) -> list[Dialect]:
+def _claims(value: Any, form: ReplyForm | None) -> list[Dialect]:
     """Return the dialects that a JSON value may be in, by its outermost shape."""
-    if isinstance(value, dict):
-        found = [dialect for key, dialect in _KEYS if key in value]
-        if "plan" in value:
-            plan = value["plan"]
-            rows = isinstance(plan, list) and bool(plan) and isinstance(plan[0], list)
-            found.append(Dialect.SPINE if rows or isinstance(plan, str) else Dialect.JSON)
-        return found if len(found) < 2 else list(dict.fromkeys(found))
     if value == []:
         return [Dialect.JSON]
-    if isinstance(value, list) and isinstance(value[0], dict):
-        keys = ((key, dialect) for key, dialect in _KEYS if dialect in _LISTED)
-        return [dialect for key, dialect in keys if key in value[0]]
-    return [Dialect.STEPS] if isinstance(value, list) and isinstance(value[0], str) else []
+    first = value[0] if isinstance(value, list) else value
+    if isinstance(first, str) and first is not value:
+        return [Dialect.STEPS]
+    if not isinstance(first, dict):
+        return []
+    found = [d for key, kind, d in _KEYS if key in first and isinstance(first[key], kind)]
+    if "tool_calls" in first:  # a stored message, which names its role or its type
+        found.append(Dialect.OPENAI if "role" in first else Dialect.LANGCHAIN)
+    if first is not value:
+        found = [dialect for dialect in found if dialect in _LISTED]
+    elif "plan" in value:
+        plan = value["plan"]
+        rows = isinstance(plan, list) and bool(plan) and isinstance(plan[0], list)
+        found.append(Dialect.SPINE if rows or isinstance(plan, str) else Dialect.JSON)
+    if form is not None and not {form.list, form.tool}.isdisjoint(first):
+        found.insert(0, Dialect.REPLY)
+    return list(dict.fromkeys(found))
 
 
-def _agreed(value: Any, claims: list[Dialect]) -> PlanReading:
-    if not claims:
-        raise _unknown("no dialect has such JSON", "input")
-    if len(claims) == 1:
-        return PlanReading(claims[0], _OF_JSON[claims[0]](value))
+def _agreed(readers: Sequence[Callable[[], PlanReading]]) -> PlanReading:
+    """Return the one reading of those that claim a plan; two that fit must say the very same."""
+    if len(readers) == 1:
+        return readers[0]()
     fitting: list[PlanReading] = []
     refusals: list[MalformedError] = []
-    for dialect in claims:
+    for reader in readers:
         try:
-            fitting.append(PlanReading(dialect, _OF_JSON[dialect](value)))
+            fitting.append(reader())
         except MalformedError as error:
             refusals.append(error)
     if not fitting:
         raise refusals[0]
     for other in fitting[1:]:
         if _said(other) != _said(fitting[0]):
-            raise _unknown(
-                f"`{fitting[0].dialect}` and `{other.dialect}` differ; name one", "input"
-            )
+            text = f"`{fitting[0].dialect}` and `{other.dialect}` differ; name one"
+            raise _unknown(text, "input")
     return fitting[0]
 
 

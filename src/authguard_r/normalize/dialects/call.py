@@ -7,6 +7,7 @@ judged by the binding alone. Spec page: docs/spec/normalize.md#dialects
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from collections.abc import Set as AbstractSet
 from enum import StrEnum
 from typing import Any
@@ -15,7 +16,7 @@ from msgspec import Struct
 
 from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
-from authguard_r.normalize.parse import MAX_CALLS
+from authguard_r.normalize.parse import MAX_CALLS, read_json
 
 
 class Dialect(StrEnum):
@@ -23,8 +24,21 @@ class Dialect(StrEnum):
 
     AUTO = "auto"
     OPENAI = "openai"
+    RESPONSES = "responses"
     ANTHROPIC = "anthropic"
+    GEMINI = "gemini"
+    BEDROCK = "bedrock"
+    OLLAMA = "ollama"
+    LANGCHAIN = "langchain"
     MCP = "mcp"
+    HERMES = "hermes"
+    MISTRAL = "mistral"
+    LLAMA = "llama"
+    PYTHONIC = "pythonic"
+    DEEPSEEK = "deepseek"
+    HARMONY = "harmony"
+    REACT = "react"
+    REPLY = "reply"
     JSON = "json"
     CALLS = "calls"
     PYTHON = "python"
@@ -44,11 +58,13 @@ class Call(Struct, frozen=True):
         arguments: by external name, possibly nested; positional ones are called `1`, `2`, ...
             Numbers are `int` or exact `Decimal`, never floats. Untrusted.
         where: the place in the planner's text, for messages.
+        named: the place of the tool's name, where it is another one.
     """
 
     tool: str
     arguments: dict[str, Any]
     where: str
+    named: str = ""
 
 
 def expect(value: Any, kind: type[Any], where: str) -> Any:
@@ -76,6 +92,66 @@ def expect_fields(value: dict[str, Any], allowed: AbstractSet[str], where: str) 
             where=f"{where}.{shown}",
             reason=Reason.FIELD_UNKNOWN,
         )
+
+
+def items_of(value: Any, where: str) -> Iterator[tuple[dict[str, Any], str]]:
+    """Yield every object of a list with its place.
+
+    Raises:
+        MalformedError: it is no list, or something in it is no object.
+    """
+    for number, item in enumerate(expect(value, list, where)):
+        yield expect(item, dict, f"{where}[{number}]"), f"{where}[{number}]"
+
+
+def only(value: Any, where: str) -> dict[str, Any]:
+    """Return the one object of a list.
+
+    Raises:
+        MalformedError: there are more, or none.
+    """
+    items = expect(value, list, where)
+    if len(items) != 1:
+        raise MalformedError(f"expected one item, got {len(items)}", where=where)
+    found: dict[str, Any] = expect(items[0], dict, f"{where}[0]")
+    return found
+
+
+def call_of(item: dict[str, Any], tool: str, arguments: str, where: str) -> Call:
+    """Return the call in an object, by the names of its two fields.
+
+    Raises:
+        MalformedError: one of them is missing or of another kind.
+    """
+    named, place = f"{where}.{tool}", f"{where}.{arguments}"
+    name = expect(item.get(tool), str, named)
+    return Call(name, expect(item.get(arguments), dict, place), place, named)
+
+
+def spelled(item: dict[str, Any], where: str) -> dict[str, Any]:
+    """Return `arguments` that a server gives as JSON text; an empty text means none.
+
+    Raises:
+        MalformedError: no text, or not one JSON object.
+    """
+    place = f"{where}.arguments"
+    text = expect(item.get("arguments"), str, place)
+    found: dict[str, Any] = expect(read_json(text, where=place), dict, place) if text else {}
+    return found
+
+
+def require_finished(
+    reply: dict[str, Any], name: str, wanted: AbstractSet[str], where: str = ""
+) -> None:
+    """Refuse a reply that was cut off: its last arguments or its last call may be missing.
+
+    Raises:
+        MalformedError: the field that says how it ended says something else.
+    """
+    reason = reply.get(name)
+    if not isinstance(reason, str) or reason not in wanted:
+        text = f"expected a finished reply, got {name} `{ascii(reason)[:80]}`"
+        raise MalformedError(text, where=f"{where}{name}")
 
 
 def expect_few(count: int) -> None:

@@ -79,7 +79,7 @@ def read_code(text: str, *, where: str = "") -> tuple[Call, ...]:
     """Return the calls of plan code, one a statement, in order.
 
     A call is of a bare or dotted name. Its arguments are strings, numbers, truth values, and lists,
-    tuples and dictionaries of these; tuples are read as lists. Comments before the first call are
+    tuples and dictionaries of these; tuples are read as lists. `None` is no value. Comments are
     prose. Numbers stay exact: they are read from the text and not from Python's float.
 
     Args:
@@ -108,6 +108,22 @@ def read_literal(text: str, *, where: str) -> Any:
     with _plain_errors(where):  # in parentheses, lines and their indentation mean nothing
         found = ast.parse(f"({text}\n)", mode="eval").body
     return _Tree(numbers, where).value(found)
+
+
+def read_call_list(text: str, *, where: str) -> tuple[Call, ...]:
+    """Return the calls of one list, `[go(to="Dock"), scan()]`, with literals as in plan code.
+
+    Raises:
+        MalformedError: with the line of the first thing that is no such call.
+    """
+    _require_short(text, where)
+    numbers = _Scanner(text, where, depth=1).numbers()
+    with _plain_errors(where):
+        found = ast.parse(f"({text}\n)", mode="eval").body
+    if not isinstance(found, ast.List):
+        raise MalformedError("expected a list of calls", where=where)
+    tree = _Tree(numbers, where)
+    return tuple(tree.call(node) for node in found.elts)
 
 
 def read_go2(text: str) -> tuple[Call, ...]:
@@ -177,7 +193,6 @@ class _Scanner:
         self._where = where
         self._base = self._depth = depth
         self._line = 1
-        self._untouched = True
         self._before = _Before.MARK if depth else _Before.START
         self._numbers: list[int | Decimal] = []
 
@@ -206,10 +221,9 @@ class _Scanner:
 
     def _take(self, kind: str, spelled: str) -> None:
         if kind == "comment":
-            if self._base or not self._untouched:
+            if self._base:
                 raise self._refusal(spelled)
             return
-        self._untouched = False
         allowed = _ALLOWED.get(spelled if kind == "open" else kind)
         if allowed is not None and self._before not in allowed:
             raise self._refusal(spelled)
@@ -228,7 +242,9 @@ class _Scanner:
             raise MalformedError(str(error), where=_place(self._where, self._line)) from error
 
     def _name(self, spelled: str) -> None:
-        if any(iskeyword(part) and part not in {"True", "False"} for part in spelled.split(".")):
+        if any(
+            iskeyword(part) and part not in {"True", "False", "None"} for part in spelled.split(".")
+        ):
             raise self._refusal(spelled)
 
     def _nest(self, spelled: str, step: int) -> None:
@@ -264,10 +280,19 @@ class _Tree:
         Raises:
             MalformedError: it is not valid, or contains something else than literals.
         """
-        where = _place(self._where, node.lineno)
-        if not (isinstance(node, ast.Expr) and isinstance(node.value, ast.Call)):
+        if not isinstance(node, ast.Expr):
+            raise MalformedError("expected a call", where=_place(self._where, node.lineno))
+        return self.call(node.value)
+
+    def call(self, call: ast.expr) -> Call:
+        """Return the call that an expression is.
+
+        Raises:
+            MalformedError: it is not valid, or contains something else than literals.
+        """
+        where = _place(self._where, call.lineno)
+        if not isinstance(call, ast.Call):
             raise MalformedError("expected a call", where=where)
-        call = node.value
         tool = _dotted(call.func)
         if tool is None:
             raise MalformedError("expected a call of a name", where=where)
@@ -286,8 +311,8 @@ class _Tree:
             MalformedError: it is not valid.
         """
         match node:
-            case ast.Constant(value=bool() as truth):
-                return truth
+            case ast.Constant(value=bool() | None as said):
+                return said
             case ast.Constant(value=str() as text):
                 require_text(text, _place(self._where, node.lineno))
                 return text

@@ -8,6 +8,7 @@ Spec page: docs/spec/normalize.md#dialects
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from msgspec import Struct
@@ -18,26 +19,41 @@ from authguard_r.normalize.dialects.call import Call, expect, expect_fields
 
 
 class _Operation(Struct, frozen=True):
-    """An operation's fields: text, nested objects, and those that may be left out."""
+    """An operation: how its type is spelled, and its fields.
 
+    Args:
+        folder: what stands between package and name; ROS 1 leaves it out, as rosbridge lets one.
+        texts: fields with text.
+        objects: nested ones.
+        optional: those of them that may be left out.
+        beside: fields that change nothing that the robot does.
+    """
+
+    folder: str
     texts: frozenset[str]
     objects: frozenset[str]
     optional: frozenset[str]
+    beside: frozenset[str] = frozenset()
 
 
+_OLD_TYPE = re.compile(r"\A([A-Za-z0-9_]+)/([A-Za-z0-9_]+)\Z")
 #: A goal without `args` would be all defaults of its message; an empty request is an ordinary one.
 _OPERATIONS: dict[str, _Operation] = {
     "send_action_goal": _Operation(
+        folder="action",
         texts=frozenset({"action", "action_type"}),
         objects=frozenset({"args"}),
         optional=frozenset(),
+        beside=frozenset({"feedback"}),
     ),
     "publish": _Operation(
+        folder="msg",
         texts=frozenset({"topic", "type"}),
         objects=frozenset({"msg"}),
         optional=frozenset({"type"}),
     ),
     "call_service": _Operation(
+        folder="srv",
         texts=frozenset({"service", "type"}),
         objects=frozenset({"args"}),
         optional=frozenset({"type", "args"}),
@@ -74,10 +90,16 @@ def _operation(item: Any, where: str) -> Call:
             reason=Reason.TOOL_UNKNOWN,
         )
     fields = known.texts | known.objects
-    expect_fields(operation, {"op", "id"} | fields, where)
+    beside = {"op", "id", *known.beside}
+    expect_fields(operation, beside | fields, where)
     expect(operation.get("id", ""), str, f"{where}.id")
-    arguments = {field: it for field, it in operation.items() if field not in {"op", "id"}}
+    if type(operation.get("feedback", False)) is not bool:
+        raise MalformedError("expected a truth value", where=f"{where}.feedback")
+    arguments = {field: it for field, it in operation.items() if field not in beside}
     for field in sorted(fields - (known.optional - arguments.keys())):
         kind = str if field in known.texts else dict
         expect(arguments.get(field), kind, f"{where}.{field}")
+    for field in ("type", "action_type"):
+        if isinstance(arguments.get(field), str):
+            arguments[field] = _OLD_TYPE.sub(rf"\1/{known.folder}/\2", arguments[field])
     return Call(name, arguments, where)

@@ -23,7 +23,10 @@ _TUPLES = re.compile(r"[ \t\r\n]*\[[ \t\r\n]*[(\[]")
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(?=\()")
 _SPACE = re.compile(r"[ \t\r\n]*")
 #: No quotation mark of any kind and no bracket; an apostrophe may stand inside a word.
-_WORD = re.compile(r"[^()\[\]{},\"'`\x00-\x1f\x7f][^()\[\]{},\"`\x00-\x1f\x7f]*")
+#: A named argument is none: the list of calls that has them is Python.
+_WORD = re.compile(
+    r"(?![A-Za-z_][A-Za-z0-9_]*=)[^()\[\]{},\"'`\x00-\x1f\x7f][^()\[\]{},\"`\x00-\x1f\x7f]*"
+)
 
 
 def read_spine(text: str) -> tuple[Call, ...]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tool use as model servers and tool protocols write it: OpenAI, Anthropic, MCP.
+"""Tool use as model servers and tool protocols write it: OpenAI's two APIs, Anthropic, MCP.
 
 A reply is taken whole, as a server sends it, so that a reply which was cut off is seen as such.
 What the model says beside its calls is prose: it is never looked at.
@@ -12,16 +12,26 @@ from collections.abc import Iterator
 from typing import Any
 
 from authguard_r.core.errors import MalformedError
-from authguard_r.core.reasons import Reason
-from authguard_r.normalize.dialects.call import Call, expect, expect_fields
-from authguard_r.normalize.parse import read_json
+from authguard_r.normalize.dialects.call import (
+    Call,
+    call_of,
+    expect,
+    expect_fields,
+    items_of,
+    only,
+    require_finished,
+    spelled,
+)
 
 _PROSE = frozenset({"text", "thinking", "redacted_thinking"})
 _REPLY = {"type": "message", "role": "assistant"}
 
 
 def read_openai(value: Any) -> tuple[Call, ...]:
-    """Return the calls of a whole chat-completions reply; exactly one finished choice.
+    """Return the calls of a chat completion with one finished choice, or of its bare message.
+
+    `content`, `reasoning_content` and every other field without a call are prose. A bare message
+    does not say whether it was finished: text that was cut off is no JSON, so it is refused.
 
     Args:
         value: the reply as strict JSON spells it; untrusted.
@@ -30,31 +40,62 @@ def read_openai(value: Any) -> tuple[Call, ...]:
         MalformedError: not such a reply, unfinished, or with a call in the retired form.
     """
     reply = expect(value, dict, "input")
-    choices = expect(reply.get("choices"), list, "choices")
-    if len(choices) != 1:
-        raise MalformedError(f"expected one choice, got {len(choices)}", where="choices")
-    choice = expect(choices[0], dict, "choices[0]")
-    _require_finished(choice, "finish_reason", {"tool_calls", "stop"}, "choices[0].finish_reason")
-    message = expect(choice.get("message"), dict, "choices[0].message")
+    message, where = reply, ""
+    if "choices" in reply:
+        choice = only(reply["choices"], "choices")
+        require_finished(choice, "finish_reason", {"tool_calls", "stop"}, "choices[0].")
+        message, where = (
+            expect(choice.get("message"), dict, "choices[0].message"),
+            "choices[0].message.",
+        )
+    if message.get("role", "assistant") != "assistant":
+        raise MalformedError("expected `assistant`", where=f"{where}role")
     if message.get("function_call") is not None:  # else a call would be dropped in silence (L11)
-        where = "choices[0].message.function_call"
-        raise MalformedError("expected calls in `tool_calls` only", where=where)
-    found = expect(message.get("tool_calls") or [], list, "choices[0].message.tool_calls")
+        raise MalformedError("expected calls in `tool_calls` only", where=f"{where}function_call")
     return tuple(
-        _openai_call(item, f"choices[0].message.tool_calls[{number}]")
-        for number, item in enumerate(found)
+        _openai_call(item, place)
+        for item, place in items_of(message.get("tool_calls") or [], f"{where}tool_calls")
     )
 
 
-def _openai_call(item: Any, where: str) -> Call:
-    call = expect(item, dict, where)
-    if call.get("type") != "function":
+def _openai_call(call: dict[str, Any], where: str) -> Call:
+    if call.get("type") not in {None, "function"}:
         raise MalformedError("expected a call of type `function`", where=f"{where}.type")
     function = expect(call.get("function"), dict, f"{where}.function")
-    name = expect(function.get("name"), str, f"{where}.function.name")
-    place = f"{where}.function.arguments"
-    text = expect(function.get("arguments"), str, place)
-    return Call(name, expect(read_json(text, where=place), dict, place), place)
+    place = f"{where}.function"
+    name = expect(function.get("name"), str, f"{place}.name")
+    return Call(name, spelled(function, place), f"{place}.arguments", f"{place}.name")
+
+
+def read_responses(value: Any) -> tuple[Call, ...]:
+    """Return the calls of a whole reply of OpenAI's Responses API, in order.
+
+    Messages and reasoning are prose. An item of any other type is something that a server did or
+    is to do, so it refuses the whole reply.
+
+    Args:
+        value: the reply as strict JSON spells it; untrusted.
+
+    Raises:
+        MalformedError: not such a reply, unfinished, or with an item of another type.
+    """
+    reply = expect(value, dict, "input")
+    require_finished(reply, "status", {"completed"})
+    return tuple(_response_calls(reply.get("output")))
+
+
+def _response_calls(output: Any) -> Iterator[Call]:
+    for item, where in items_of(output, "output"):
+        kind = expect(item.get("type"), str, f"{where}.type")
+        if kind in {"message", "reasoning"}:
+            continue
+        if kind != "function_call":
+            wanted = "expected `message`, `reasoning` or `function_call`"
+            raise MalformedError(wanted, where=f"{where}.type")
+        if item.get("status") is not None:
+            require_finished(item, "status", {"completed"}, f"{where}.")
+        name = expect(item.get("name"), str, f"{where}.name")
+        yield Call(name, spelled(item, where), f"{where}.arguments", f"{where}.name")
 
 
 def read_anthropic(value: Any) -> tuple[Call, ...]:
@@ -73,15 +114,12 @@ def read_anthropic(value: Any) -> tuple[Call, ...]:
     for name, wanted in _REPLY.items():
         if reply.get(name, wanted) != wanted:
             raise MalformedError(f"expected `{wanted}`", where=name)
-    _require_finished(reply, "stop_reason", {"tool_use", "end_turn"}, "stop_reason")
-    blocks = expect(reply.get("content"), list, "content")
-    return tuple(_anthropic_calls(blocks))
+    require_finished(reply, "stop_reason", {"tool_use", "end_turn"})
+    return tuple(_anthropic_calls(reply.get("content")))
 
 
-def _anthropic_calls(blocks: list[Any]) -> Iterator[Call]:
-    for number, item in enumerate(blocks):
-        where = f"content[{number}]"
-        block = expect(item, dict, where)
+def _anthropic_calls(blocks: Any) -> Iterator[Call]:
+    for block, where in items_of(blocks, "content"):
         kind = expect(block.get("type"), str, f"{where}.type")
         if kind in _PROSE:
             continue
@@ -91,9 +129,7 @@ def _anthropic_calls(blocks: list[Any]) -> Iterator[Call]:
         if block.get("caller", {"type": "direct"}) != {"type": "direct"}:
             raise MalformedError("expected a call by the model itself", where=f"{where}.caller")
         expect(block.get("id"), str, f"{where}.id")
-        name = expect(block.get("name"), str, f"{where}.name")
-        place = f"{where}.input"
-        yield Call(name, expect(block.get("input"), dict, place), place)
+        yield call_of(block, "name", "input", where)
 
 
 def read_mcp(value: Any) -> tuple[Call, ...]:
@@ -127,17 +163,6 @@ def _mcp_call(item: Any, where: str) -> Call:
         raise MalformedError("expected a string or a whole number", where=f"{where}.id")
     params = expect(request.get("params"), dict, f"{where}.params")
     expect_fields(params, {"name", "arguments", "_meta"}, f"{where}.params")
-    if params.get("_meta", {}) != {}:
-        place = f"{where}.params._meta"
-        raise MalformedError("expected it empty", where=place, reason=Reason.FIELD_UNKNOWN)
-    name = expect(params.get("name"), str, f"{where}.params.name")
-    place = f"{where}.params.arguments"
-    return Call(name, expect(params.get("arguments", {}), dict, place), place)
-
-
-def _require_finished(reply: dict[str, Any], name: str, wanted: set[str], where: str) -> None:
-    """Refuse a reply that was cut off: its last arguments or its last call may be missing."""
-    reason = reply.get(name)
-    if not isinstance(reason, str) or reason not in wanted:
-        shown = ascii(reason)[:80]
-        raise MalformedError(f"expected a finished reply, got {name} `{shown}`", where=where)
+    meta = expect(params.get("_meta", {}), dict, f"{where}.params._meta")
+    expect_fields(meta, {"progressToken"}, f"{where}.params._meta")  # where a client hears of it
+    return call_of({"arguments": {}, **params}, "name", "arguments", f"{where}.params")

@@ -9,7 +9,7 @@ docs/spec/normalize.md#dialects
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from msgspec import Struct
@@ -18,7 +18,7 @@ from authguard_r.core.errors import MalformedError
 from authguard_r.core.reasons import Reason
 from authguard_r.normalize.dialects.call import Call, expect, numbered
 
-_NUMBERED = re.compile(r"([1-9][0-9]{0,5})\. ")
+_NUMBERED = re.compile(r"([1-9][0-9]{0,5})[.)] ")
 
 
 class _Verb(Struct, frozen=True):
@@ -82,8 +82,9 @@ def read_step_list(value: Any) -> tuple[Call, ...]:
         MalformedError: not a list of strings, an unknown verb, names missing or too many.
     """
     items = expect(value, list, "input")
-    places = ((item, f"input[{number}]") for number, item in enumerate(items))
-    return tuple(_call(expect(item, str, where), STEP_VERBS, where) for item, where in places)
+    places = [f"input[{number}]" for number in range(len(items))]
+    lines = [(expect(item, str, where), where) for item, where in zip(items, places, strict=True)]
+    return tuple(_call(step, STEP_VERBS, where) for step, where in _steps(lines, must_number=False))
 
 
 def read_dolphins(text: str) -> tuple[Call, ...]:
@@ -111,19 +112,22 @@ def _first(text: str) -> list[str]:
 
 
 def _lines(text: str, *, must_number: bool) -> Iterator[tuple[str, str]]:
+    """Yield each step of a text without its number, and its place; empty lines are none."""
+    lines = ((line.strip(" \t\r"), f"line[{n}]") for n, line in enumerate(text.split("\n"), 1))
+    return _steps((line for line in lines if line[0]), must_number=must_number)
+
+
+def _steps(lines: Iterable[tuple[str, str]], *, must_number: bool) -> Iterator[tuple[str, str]]:
     """Yield each step without its number, and its place; a gap in the numbers is a lost step."""
     counted: bool | None = True if must_number else None
-    count = 0
-    for number, line in enumerate(text.split("\n"), 1):
-        step, where = line.strip(" \t\r"), f"line[{number}]"
-        if not step:
-            continue
-        count += 1
+    for count, (step, where) in enumerate(lines, 1):
         mark = _NUMBERED.match(step)
         counted = mark is not None if counted is None else counted
         if (int(mark[1]) if mark is not None else None) != (count if counted else None):
             expected = f"the number `{count}.`" if counted else "no number"
             raise MalformedError(f"expected {expected} before the step", where=where)
+        if counted and re.search(rf" {count + 1}[.)] ", step):
+            raise MalformedError("expected each step on a line of its own", where=where)
         yield step[mark.end() if mark is not None else 0 :], where
 
 
