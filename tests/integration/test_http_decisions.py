@@ -311,10 +311,26 @@ def test_more_is_disclosed_only_where_somebody_said_so(
         assert said["findings"][0]["reason"] == SCOPE
         assert set(said["findings"][0]) == shown
         assert ("action" in said.get("detail", {})) is (level == "full")
-        unknown = served.post(EVALUATION, question("open_every_door")).json()["context"]
-        assert set(unknown["findings"][0]) == {"field", "reason", "step"} | (
-            {"expected"} if level == "full" else set()
-        )
+        for asked, place, text in [
+            (question("open_every_door"), "plan[0].tool", "expected a bound tool"),
+            (question("navigate_to", destination="Pharmacy", speed="fast"), "plan[0].speed",
+             "expected a number"),
+            (question("navigate_to", destination=None), "plan[0].destination",
+             "expected the name of a region"),
+        ]:  # fmt: skip
+            unread = served.post(EVALUATION, asked).json()["context"]
+            (finding,) = unread["findings"]
+            assert (unread["retryable"], set(finding)) == (False, shown), asked
+            assert finding["field"] == place
+            assert text in finding.get("expected", text)
+
+
+def test_null_leaves_an_optional_argument_out_and_no_needed_one(served: Served) -> None:
+    given = {"destination": "Pharmacy", "speed": None, "via": None, "behavior_tree": None}
+    assert served.post(EVALUATION, question("navigate_to", **given)).json()["decision"] is True
+    for name in ("destination", "no_such_field"):
+        said = served.post(EVALUATION, question("navigate_to", **{**given, name: None})).json()
+        assert said["decision"] is False, name
 
 
 def test_a_thousand_at_once_are_all_answered_rightly(served: Served) -> None:

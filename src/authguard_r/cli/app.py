@@ -89,6 +89,7 @@ COMMANDS: Final = {
         "binding check": ("binding:check", "Check that every field of every tool is bound"),
         "binding list": ("binding:list", "List the bindings of this package"),
         "binding show": ("binding:show", "Show each tool, with a sample call"),
+        "binding schemas": ("binding:schemas", "Print the tools as a language model is shown them"),
         "normalize": ("normalize:normalize", "Read planner output; print its actions"),
         "decide": ("decide:decide", "Decide one action as a dry run"),
         "run": ("run:run", "Enforce a plan on the simulated robot"),

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,8 +12,9 @@ import typer
 
 from authguard_r.authoring.binding.check import BindingReport, check_binding
 from authguard_r.authoring.binding.samples import Sampler, probe_site
-from authguard_r.cli.inputs import JsonFlag, load_site
+from authguard_r.cli.inputs import JsonFlag, SiteOption, load_site
 from authguard_r.core.errors import MalformedError
+from authguard_r.integrations.tools.tool_schemas import ToolForm, tool_schemas
 from authguard_r.normalize.binding import Binding, binding_digest, require_sound, ways
 from authguard_r.normalize.interface import (
     Surface,
@@ -104,6 +106,26 @@ def show_command(
         lines += [f"  {row['sample']}"] if row["sample"] else []
     payload = {"binding": found.id, "digest": binding_digest(found), "ways": rows}
     emit(payload, lines, as_json=as_json)
+    return 0
+
+
+def schemas_command(
+    binding: BindingArgument,
+    site: SiteOption,
+    form: Annotated[
+        ToolForm, typer.Option("--form", help="Whose form: the protocol of the model's server.")
+    ] = ToolForm.OPENAI,
+    as_json: JsonFlag = False,
+) -> int:
+    """Print the tools of a binding as JSON, ready for the `tools` of a request to a model.
+
+    Refused fields are left out. Names, ranges and units are the site's. The schemas are advice to
+    the model: the gate reads every call by the binding.
+    """
+    found, model = _read(binding), load_site(site)
+    require_sound(found, model)
+    tools = form.tools(tool_schemas(found, model))
+    emit({"form": form, "tools": tools}, [json.dumps(tools, indent=2)], as_json=as_json)
     return 0
 
 

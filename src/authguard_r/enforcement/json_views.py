@@ -28,7 +28,7 @@ from authguard_r.enforcement.report import (
     average_deviation,
     plan_deviation,
 )
-from authguard_r.wire.disclosure import Disclosure, disclosed
+from authguard_r.wire.disclosure import Disclosure, disclosed, fault_finding
 
 
 def action_json(action: Action) -> dict[str, Any]:
@@ -135,12 +135,6 @@ def report_json(report: Report) -> dict[str, Any]:
     return {**whole, **_brief_json(report), "influenced_by": influences}
 
 
-def _fault_json(refusal: Refusal) -> dict[str, Any]:
-    """Return why nothing was decided as a finding, so that a planner reads one shape."""
-    place = {"field": refusal.where, "reason": str(refusal.reason)}
-    return {**place, "expected": refusal.message, "got": "", "step": 0}
-
-
 def _brief_json(report: Report) -> dict[str, Any]:
     """Return the part of a report that `disclosed` chooses from."""
     judged, refusal, outcome = report.judged, report.refusal, report.outcome
@@ -148,7 +142,9 @@ def _brief_json(report: Report) -> dict[str, Any]:
         body: dict[str, Any] = {
             "outcome": "reject",
             "reasons": [] if refusal is None else [str(refusal.reason)],
-            "findings": [] if refusal is None else [_fault_json(refusal)],
+            "findings": []
+            if refusal is None
+            else [fault_finding(str(refusal.reason), refusal.where, refusal.message)],
             "retryable": refusal is not None and may_pass_later((refusal.reason,)),
             "refusal": None if refusal is None else msgspec.to_builtins(refusal),
         }

@@ -11,7 +11,8 @@ import jsonschema
 import pytest
 
 from authguard_r.core.errors import MalformedError
-from authguard_r.integrations.tools.call_schema import MAX_NAMES, narrowed
+from authguard_r.integrations.tools.argument_schema import MAX_NAMES
+from authguard_r.integrations.tools.call_schema import narrowed
 from authguard_r.normalize.bind import Binder
 from authguard_r.normalize.dialects import Call
 from authguard_r.normalize.parse import read_json
@@ -68,12 +69,12 @@ def test_names_ranges_and_units_are_spelled_out_and_refused_fields_left_out() ->
             },
             "speed": {
                 "type": "number",
-                "description": "How fast. Unit: 1000 mm/s.",
+                "description": "How fast, in m/s",
                 "minimum": 0.001,
                 "maximum": 3,
             },
             "why": {"type": "string"},
-            "plan": {"type": "object", "properties": {"tree": {"const": ""}}, "required": []},
+            "plan": {"type": "object", "properties": {"tree": {"enum": [""]}}, "required": []},
         },
         "required": ["to"],
     }

@@ -17,7 +17,7 @@ from msgspec.structs import replace
 
 from authguard_r.core.errors import AuthGuardError, RefusedError
 from authguard_r.core.identifiers import RobotId
-from authguard_r.core.reasons import Reason
+from authguard_r.core.reasons import Reason, may_pass_later
 from authguard_r.integrations.http.gate_connection import AwayError, GateLink, busy
 from authguard_r.integrations.http.messages import (
     Carried,
@@ -31,7 +31,7 @@ from authguard_r.integrations.http.messages import (
     Trouble,
 )
 from authguard_r.integrations.http.reading import call_of, plan_of, questions_of, single_of
-from authguard_r.wire.disclosure import Disclosure, disclosed
+from authguard_r.wire.disclosure import Disclosure, disclosed, fault_finding
 
 #: How a planner's framework calls its tools: the dialect of `plan_of`.
 _DIALECT = "json"
@@ -188,14 +188,14 @@ class Decider:
 
     def _refused(self, reason: Reason, error: AuthGuardError | None = None) -> Said:
         """Return what is said where the gate decided nothing."""
-        open_to = error is not None and self._disclosure is not Disclosure.CODES
-        said = self._said({"outcome": "reject", "reasons": [str(reason)]}, safe=None)
-        if error is None or not open_to:
-            return said
-        place = {"field": error.where, "reason": str(reason), "step": 0}
-        shown = {**place, "expected": error.message}
-        full = self._disclosure is Disclosure.FULL
-        return replace(said, findings=(shown if full else place,))
+        told: dict[str, Any] = {
+            "outcome": "reject",
+            "reasons": [str(reason)],
+            "retryable": may_pass_later((reason,)),
+        }
+        if error is not None:
+            told["findings"] = [fault_finding(str(reason), error.where, error.message)]
+        return self._said(disclosed(told, self._disclosure), safe=None)
 
     def _unanswered(self, fault: AuthGuardError) -> Said:
         trouble = Trouble(status=503, code=str(fault.reason), message=fault.message)
