@@ -31,11 +31,6 @@ class Disclosure(StrEnum):
     FULL = "full"
 
 
-def fault_finding(reason: str, where: str, message: str) -> dict[str, Any]:
-    """Return why nothing was decided as a finding, so that a planner reads one shape."""
-    return {"field": where, "reason": reason, "expected": message, "got": "", "step": 0}
-
-
 def disclosed(report: dict[str, Any], level: Disclosure) -> dict[str, Any]:
     """Return what the planner may know of a report, or of a decision that was not carried out."""
     if level is Disclosure.FULL:

@@ -31,7 +31,8 @@ from authguard_r.integrations.http.messages import (
     Trouble,
 )
 from authguard_r.integrations.http.reading import call_of, plan_of, questions_of, single_of
-from authguard_r.wire.disclosure import Disclosure, disclosed, fault_finding
+from authguard_r.wire.disclosure import Disclosure, disclosed
+from authguard_r.wire.faults import fault_finding
 
 #: How a planner's framework calls its tools: the dialect of `plan_of`.
 _DIALECT = "json"
