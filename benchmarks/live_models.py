@@ -139,8 +139,8 @@ def weights(folder: Path, model: Model, pip: Path) -> Path:
 
 
 @contextmanager
-def served(programs: Path, file: Path, model: Model) -> Iterator[str]:
-    """Serve a model on a free port of the loopback, and yield its address."""
+def served(programs: Path, file: Path, model: Model, *more: str | Path) -> Iterator[str]:
+    """Serve a model on a free port of the loopback, with more options, and yield its address."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -149,7 +149,7 @@ def served(programs: Path, file: Path, model: Model) -> Iterator[str]:
         print("server:", SERVER, file_digest(program, "sha256").hexdigest())
     words = [server, "-m", file, "--alias", model.name, "--host", "127.0.0.1", "--port", port]
     # one place for the planner's words and one for the attacker's: both begin as they did before
-    words += ["-c", 16384, "-np", 2, "-t", os.cpu_count() or 1]
+    words += ["-c", 16384, "-np", 2, "-t", os.cpu_count() or 1, *more]
     with file.with_suffix(".log").open("ab") as log:
         child = subprocess.Popen(list(map(str, words)), stdout=log, stderr=log)
     try:

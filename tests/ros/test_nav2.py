@@ -22,6 +22,7 @@ from action_msgs.msg import GoalStatus
 from geometry_msgs.msg import PoseStamped
 from nav2_msgs.action import FollowWaypoints, NavigateThroughPoses, NavigateToPose
 
+from authguard_r.integrations.ros.nodes.values import has_path
 from fixtures.gate_process import RunningGate, until
 from fixtures.packaged_robots import gate_of
 from ros.graph import Arm, Goal, Graph, Planner, graph_of, shown
@@ -118,6 +119,14 @@ def test_l16_a_granted_goal_arrives_rebuilt_and_nothing_of_the_planners_own(nav2
     assert reached.pose.pose.orientation.w == 1.0
     nav2.to_pose.end.set()
     assert goal.result().status == GoalStatus.STATUS_SUCCEEDED
+
+
+def test_the_installed_type_says_under_which_name_a_list_of_poses_stands() -> None:
+    paths = ("poses", "poses.goals", "poses.goals.pose", "poses.header.frame_id", "behavior_tree")
+    known = {path for path in paths if has_path(NavigateThroughPoses.Goal, path)}
+    assert known == {"poses.goals", "poses.header.frame_id", "behavior_tree"}
+    known = {path for path in paths if has_path(FollowWaypoints.Goal, path)}
+    assert known == {"poses"}
 
 
 ISOLATED = pose(ISOLATION)

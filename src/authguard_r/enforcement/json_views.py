@@ -23,7 +23,6 @@ from authguard_r.enforcement.report import (
     EQUAL,
     NOT_EVALUATED,
     Judged,
-    Refusal,
     Report,
     average_deviation,
     plan_deviation,

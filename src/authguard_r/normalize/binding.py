@@ -282,7 +282,7 @@ def _faults(tool: ToolBinding, site: Site) -> Iterator[tuple[str, str]]:
         return
     every = tool.arguments.values()
     also = [name for argument in every for name in argument.also]
-    lists = {name for argument in every if argument.each for name in argument.also}
+    lists = {n for path, a in tool.arguments.items() if a.each for n in (path, *a.also)}
     yield from _path_faults([*tool.arguments, *also, *tool.when], "arguments", lists)
     for name, argument in tool.arguments.items():
         for place, fault in _argument_faults(argument):
@@ -306,7 +306,7 @@ def _path_faults(
     Args:
         paths: of one level.
         where: their place in the binding.
-        lists: those that are another name of a list: an object may stand there too, with paths.
+        lists: names of lists of places: an object may stand there too, with paths.
     """
     split = sorted(tuple(path.split(".")) for path in paths)
     for path in split:

@@ -6,6 +6,8 @@ Spec page: docs/spec/ros.md#calls
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from decimal import Decimal
 from typing import Any
 
 import pytest
@@ -13,10 +15,19 @@ import yaml
 
 from authguard_r.access.files import read_binding
 from authguard_r.core.errors import MalformedError
-from authguard_r.integrations.ros.calls import body_of, bound, call_of, fitted, item_of
+from authguard_r.integrations.ros.calls import (
+    body_of,
+    bound,
+    call_of,
+    fitted,
+    item_of,
+    spelled,
+)
 from authguard_r.integrations.ros.map import RosMap, parse_map
+from authguard_r.normalize.bind import Binder
 from authguard_r.normalize.binding import Binding, load_binding
 from authguard_r.normalize.dialects import Call
+from authguard_r.normalize.rebuild import Rebuilder
 from authguard_r.normalize.shipped import binding_source
 from authguard_r.site.model import Site
 from authguard_r.site.source import parse_site, read_site
@@ -40,6 +51,9 @@ doors: []
 objects: {}
 robots: {}
 """
+
+#: The middle of the yard, in meters.
+MIDDLE = Decimal("0.004")
 
 
 @pytest.fixture(scope="module")
@@ -138,6 +152,43 @@ def test_velocities_are_a_stream_and_nothing_else_is(yard: Site, kinds: Binding)
         bound(kinds, changed(wheels={**items["wheels"], "kind": "message"}), yard)
     with pytest.raises(MalformedError, match="velocities and a duration"):
         bound(kinds, changed(lamp={**items["lamp"], "kind": "stream"}), yard)
+
+
+@pytest.mark.parametrize(
+    ("paths", "made"),
+    [
+        ({"poses.goals", "behavior_tree"}, lambda stops: {"goals": stops}),
+        ({"poses", "behavior_tree"}, lambda stops: stops),
+        (set(), lambda stops: {"goals": stops}),
+    ],
+    ids=["kilted", "jazzy", "neither"],
+)
+def test_a_robot_is_given_the_field_that_its_distribution_of_ros_has(
+    yard: Site, paths: set[str], made: Callable[[Any], Any]
+) -> None:
+    goal = {
+        "kind": "action",
+        "type": "nav2_msgs/action/NavigateThroughPoses",
+        "public": "/llm/navigate_through_poses",
+        "private": "/navigate_through_poses",
+        "by": "/robot",
+    }
+    plain = {**yaml.safe_load(MAP), "mediated": {"through": goal}}
+    ros = parse_map(yaml.safe_dump(plain), where="map")
+    fit = bound(load_binding(binding_source("nav2"), site=yard, where="nav2"), ros, yard)
+    spoken = spelled(fit, ros, lambda key, path: key == "through" and path in paths)
+    spot = {"header": {"frame_id": "main"}, "pose": {"position": {"x": MIDDLE, "y": MIDDLE}}}
+    binder, rebuilder = Binder(yard, spoken), Rebuilder(yard, spoken)
+    (item,) = ros.mediated.values()
+    for given in ([spot], {"goals": [spot]}):  # both are read, whatever the robot is given
+        call = call_of(item, {"poses": given})
+        rebuilt = body_of(item, rebuilder.rebuild(binder.bind(call)).arguments)
+        (stop,) = (
+            rebuilt["poses"] if isinstance(rebuilt["poses"], list) else rebuilt["poses"]["goals"]
+        )
+        assert rebuilt["poses"] == made([stop])
+        assert stop["pose"]["position"]["x"] == MIDDLE
+    assert Binder(yard, fit).bind(call) == binder.bind(call)
 
 
 def test_only_what_is_mediated_is_rebuilt(yard: Site) -> None:

@@ -8,6 +8,7 @@ Spec page: docs/spec/ros.md#calls
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from msgspec import Struct
@@ -131,6 +132,37 @@ def fitted(binding: Binding, ros: RosMap, site: Site) -> Binding:
             text = "expected a robot whose profile says how it brakes"
             raise MalformedError(text, where=f"mediated.{key}")
     return spoken
+
+
+def spelled(binding: Binding, ros: RosMap, takes: Callable[[str, str], bool]) -> Binding:
+    """Return a binding whose actions are rebuilt with the names that the installed types have.
+
+    Distributions of ROS name a field differently: Nav2's `poses` was a list until Kilted.
+
+    Args:
+        binding: as `bound` returns it.
+        ros: the robot's map.
+        takes: tells whether the type of what is mediated under a key has a path.
+    """
+    found: dict[str, tuple[ToolBinding, ...]] = {}
+    for name in binding.tools:
+        ways = [way.tool for way in ways_of(binding, name)]
+        found[name] = tuple(_spelled(tool, name, _item(name, tool, ros), takes) for tool in ways)
+    return replace(binding, tools=found)
+
+
+def _spelled(
+    tool: ToolBinding, name: str, key: str, takes: Callable[[str, str], bool]
+) -> ToolBinding:
+    below = f"{next(form.body for form in FORMS.values() if form.tool == name)}."
+    arguments = {}
+    for path, argument in tool.arguments.items():
+        names = (path, *argument.also)
+        fits = (n for n in names if n.startswith(below) and takes(key, n.removeprefix(below)))
+        first = next(fits, path)
+        others = tuple(other for other in names if other != first)
+        arguments[first] = argument if first == path else replace(argument, also=others)
+    return replace(tool, arguments=arguments)
 
 
 def velocities(kind: ActionModel) -> frozenset[str]:

@@ -24,7 +24,7 @@ from authguard_r.client.link import ProcessLog, require_folder
 from authguard_r.client.reconnecting import GatePlace, ReconnectingClient
 from authguard_r.core.errors import EnvironmentFault, StoreError
 from authguard_r.core.reasons import Reason
-from authguard_r.integrations.ros.calls import fitted
+from authguard_r.integrations.ros.calls import fitted, spelled
 from authguard_r.integrations.ros.map import PARTS, Mediated, MediationKind, RosMap
 from authguard_r.integrations.ros.nodes.actions import ActionProxyServer, Public
 from authguard_r.integrations.ros.nodes.body import RosBody, RosDrivers
@@ -43,7 +43,12 @@ from authguard_r.integrations.ros.nodes.releases import Releases
 from authguard_r.integrations.ros.nodes.services import MessageProxyServer, ServiceProxyServer
 from authguard_r.integrations.ros.nodes.status_publishers import StatusPublishers
 from authguard_r.integrations.ros.nodes.streams import StreamServer
-from authguard_r.integrations.ros.nodes.values import load_type, require_narrow
+from authguard_r.integrations.ros.nodes.values import (
+    asked_of,
+    has_path,
+    load_type,
+    require_narrow,
+)
 from authguard_r.integrations.ros.nodes.velocity import StreamClientProxy
 from authguard_r.integrations.ros.rights import GATE_NODE
 from authguard_r.integrations.tools.files import words_of
@@ -105,7 +110,9 @@ class Mediator:
         self.enclave = place.ros.enclaves.gate
         robot, ros, site = place.ros.robot, place.ros, place.site
         self._telling = StatusPublishers(ros, site)
-        spoken = fitted(place.binding, ros, site)
+        asked = {key: asked_of(types[key], PARTS[item.kind]) for key, item in ros.mediated.items()}
+        fit = fitted(place.binding, ros, site)
+        spoken = spelled(fit, ros, lambda key, path: has_path(asked[key], path))
         releases = Releases()
         self._binder = Binder(site, spoken)
         means = RosDrivers(

@@ -64,6 +64,12 @@ def load_type(name: str, part: TypePart) -> Any:
     return found
 
 
+def asked_of(kind: Any, part: TypePart) -> Any:
+    """Return the class of what planners send of a type: a goal, a request or the message."""
+    asked = {TypePart.ACTION: "Goal", TypePart.SERVICE: "Request"}.get(part)
+    return kind if asked is None else getattr(kind, asked)
+
+
 def require_narrow(kind: Any, part: TypePart, *, where: str) -> None:
     """Require that what planners send of a type has no wide string.
 
@@ -72,8 +78,7 @@ def require_narrow(kind: Any, part: TypePart, *, where: str) -> None:
     Raises:
         MalformedError: it has one.
     """
-    asked = {TypePart.ACTION: "Goal", TypePart.SERVICE: "Request"}.get(part)
-    if any(_wide(kind if asked is None else getattr(kind, asked))):
+    if any(_wide(asked_of(kind, part))):
         raise MalformedError("expected a type that planners send without `wstring`", where=where)
 
 
@@ -115,6 +120,16 @@ def message_of(kind: Any, plain: Any, *, where: str = "") -> Any:
     for name, value in plain.items():
         setattr(message, name, _made(fields[name], value, _below(where, name)))
     return message
+
+
+def has_path(kind: Any, path: str) -> bool:
+    """Return whether a message's class has a field on a dotted path, which no list interrupts."""
+    name, _, below = path.partition(".")
+    field = _fields(kind).get(name)
+    if not below:
+        return field is not None and not isinstance(field, NamespacedType)
+    is_message = isinstance(field, NamespacedType)
+    return is_message and has_path(_class_of(tuple(field.namespaces), field.name), below)
 
 
 def texts_of(message: Any) -> tuple[str, ...]:
