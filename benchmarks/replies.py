@@ -57,8 +57,9 @@ ROLE = "You plan for a courier robot in a hospital. Carry out what the operator 
 WORDS = {
     "json": 'Answer with JSON alone, in this form: {"plan": [{"tool": "take_photo", "arguments": '
     '{"reason": "asked"}}]}',
-    "fence": "Say in a sentence what you do. Then answer with one block of JSON in this form:\n"
-    '```json\n{"plan": [{"tool": "take_photo", "arguments": {"reason": "asked"}}]}\n```',
+    "fence": "Answer with a sentence and one block of JSON, as in this answer:\nI take a photo of the "
+    'door.\n```json\n{"plan": [{"tool": "take_photo", "arguments": {"reason": "asked"}}]}\n```\n'
+    "Without the block nothing is carried out.",
     "llama": 'Answer with one call as JSON alone, in this form: {"name": "take_photo", '
     '"parameters": {"reason": "asked"}}',
     "declared": "Answer with JSON alone, in this form: "
@@ -217,10 +218,13 @@ def record(model: Model, name: str, out: Path) -> None:
     asked += [("chat", "bare", bare_schemas(), model.calls)]
     asked += [(name, "narrowed", narrowed, model.words) for name in WORDS]
     wanted = [(*one, number, task) for one in asked for number, task in enumerate(TASKS)]
-    done = len(out.read_text().splitlines()) if out.exists() else 0
+    lines = out.read_text().splitlines() if out.exists() else []
+    done = {tuple(json.loads(line)[key] for key in ("format", "schema", "task")) for line in lines}
     with out.open("a") as file:
-        for at, (form, schema, tools, ask, number, task) in enumerate(wanted[done:], done + 1):
+        for at, (form, schema, tools, ask, number, task) in enumerate(wanted, 1):
             row = {"model": name, "format": form, "schema": schema, "task": number, "asked": task}
+            if (form, schema, number) in done:
+                continue
             file.write(json.dumps({**row, "raw": ask(form, tools, task)}) + "\n")
             file.flush()
             sys.stderr.write(f"\r{at} of {len(wanted)} replies ({form})   ")
