@@ -57,9 +57,9 @@ ROLE = "You plan for a courier robot in a hospital. Carry out what the operator 
 WORDS = {
     "json": 'Answer with JSON alone, in this form: {"plan": [{"tool": "take_photo", "arguments": '
     '{"reason": "asked"}}]}',
-    "fence": "Answer with a sentence and one block of JSON, as in this answer:\nI take a photo of the "
-    'door.\n```json\n{"plan": [{"tool": "take_photo", "arguments": {"reason": "asked"}}]}\n```\n'
-    "Without the block nothing is carried out.",
+    "fence": "Answer with a sentence and one block of JSON, as in this answer:\nI take a photo of "
+    'the door.\n```json\n{"plan": [{"tool": "take_photo", "arguments": {"reason": "asked"}}]}\n'
+    "```\nWithout the block nothing is carried out.",
     "llama": 'Answer with one call as JSON alone, in this form: {"name": "take_photo", '
     '"parameters": {"reason": "asked"}}',
     "declared": "Answer with JSON alone, in this form: "

@@ -28,7 +28,7 @@ from authguard_r.enforcement.report import (
     plan_deviation,
 )
 from authguard_r.wire.disclosure import Disclosure, disclosed
-from authguard_r.wire.faults import fault_finding
+from authguard_r.wire.fault_finding import fault_finding
 
 
 def action_json(action: Action) -> dict[str, Any]:

@@ -32,7 +32,7 @@ from authguard_r.integrations.http.messages import (
 )
 from authguard_r.integrations.http.reading import call_of, plan_of, questions_of, single_of
 from authguard_r.wire.disclosure import Disclosure, disclosed
-from authguard_r.wire.faults import fault_finding
+from authguard_r.wire.fault_finding import fault_finding
 
 #: How a planner's framework calls its tools: the dialect of `plan_of`.
 _DIALECT = "json"

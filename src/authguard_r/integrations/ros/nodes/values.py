@@ -128,8 +128,9 @@ def has_path(kind: Any, path: str) -> bool:
     field = _fields(kind).get(name)
     if not below:
         return field is not None and not isinstance(field, NamespacedType)
-    is_message = isinstance(field, NamespacedType)
-    return is_message and has_path(_class_of(tuple(field.namespaces), field.name), below)
+    if not isinstance(field, NamespacedType):
+        return False
+    return has_path(_class_of(tuple(field.namespaces), field.name), below)
 
 
 def texts_of(message: Any) -> tuple[str, ...]:
