@@ -199,7 +199,9 @@ def test_a_navigation_goal_with_another_behavior_tree_is_refused() -> None:
     }
     binder = Binder(site, binding)
     assert binder.bind(Call("send_action_goal", goal, "x")).destination == "square-1"
-    for tree in ("/tmp/other.xml", " ", None):
+    absent = {**goal, "goal": {"pose": pose, "behavior_tree": None}}
+    assert binder.bind(Call("send_action_goal", absent, "x")).destination == "square-1"
+    for tree in ("/tmp/other.xml", " ", 0, False):
         other = {**goal, "goal": {"pose": pose, "behavior_tree": tree}}
         with pytest.raises(MalformedError) as caught:
             binder.bind(Call("send_action_goal", other, "x"))

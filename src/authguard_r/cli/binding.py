@@ -119,8 +119,8 @@ def schemas_command(
 ) -> int:
     """Print the tools of a binding as JSON, ready for the `tools` of a request to a model.
 
-    Refused fields are left out. Names, ranges and units are the site's. The schemas are advice to
-    the model: the gate reads every call by the binding.
+    Refused fields, and tools that no planner may use, are left out. Names, ranges and units are
+    the site's; a mission allows fewer. The gate reads every call by the binding.
     """
     found, model = _read(binding), load_site(site)
     require_sound(found, model)

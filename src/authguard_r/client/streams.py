@@ -32,7 +32,7 @@ def chat_reply(chunks: Iterable[Mapping[str, Any]]) -> bytes:
     text, calls, finish = "", list[_Json](), None
     for number, chunk in enumerate(chunks):
         where = f"chunks[{number}]"
-        choices = chunk.get("choices")
+        choices = _object(chunk, where).get("choices")
         if not isinstance(choices, list) or len(choices) > 1:
             raise MalformedError("expected at most one choice", where=f"{where}.choices")
         if not choices:  # how many tokens it took
@@ -106,7 +106,7 @@ class _MessageStream:
         Raises:
             MalformedError: it fits nowhere.
         """
-        kind = event.get("type")
+        kind = _object(event, where).get("type")
         fits = {
             "ping": True,
             "message_start": not self._message,
@@ -172,7 +172,8 @@ def _with_input(block: _Json, spelled: str) -> str:
 
 def _object(value: Any, where: str) -> _Json:
     if not isinstance(value, dict):
-        raise MalformedError("expected an object", where=where)
+        message = f"expected an object as plain data, got `{type(value).__name__}`"
+        raise MalformedError(message, where=where)
     return value
 
 

@@ -29,6 +29,15 @@ NUMBER = re.compile(r"-?(?:0|[1-9][0-9]*)(?:\.[0-9]+)?(?:[eE][+-]?[0-9]{1,3})?")
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _SPACE = re.compile(r"[ \t\r\n]*")
 _STRING_OR_BRACKET = re.compile(r'"(?:[^"\\]|\\.)*"?|[\[\]{}]', re.DOTALL)
+#: What the decoder says where text stops being JSON, as a planner's author reads it.
+_FAULTS = {
+    "Extra data": "expected nothing after the JSON value",
+    "Expecting value": "expected a JSON value",
+    "Expecting property name enclosed in double quotes": "expected a name in double quotes",
+    "Expecting ',' delimiter": "expected `,`",
+    "Expecting ':' delimiter": "expected `:`",
+    "Unterminated string starting at": "expected an end of the string that begins here",
+}
 _WORDS: dict[str, bool | None] = {
     "true": True,
     "True": True,
@@ -84,7 +93,7 @@ def read_json_sequence(text: str, *, where: str) -> list[Any]:
                     raise json.JSONDecodeError("expected `;`", text, at)
                 at = _skip(text, at + 1)
                 if at == len(text):
-                    raise json.JSONDecodeError("expecting value", text, at)
+                    raise json.JSONDecodeError("Expecting value", text, at)
         return found
 
     found: list[Any] = _checked(text, where, values)
@@ -97,7 +106,8 @@ def _checked(text: str, where: str, decode: Callable[[], Any]) -> Any:
     try:
         value = decode()
     except json.JSONDecodeError as error:
-        raise MalformedError(error.msg.lower(), where=f"{where}[{error.pos}]") from error
+        message = _FAULTS.get(error.msg, error.msg.lower())
+        raise MalformedError(message, where=f"{where}[{error.pos}]") from error
     except (ValueError, RecursionError) as error:
         raise MalformedError(str(error), where=where) from error
     if "\\u" in text:  # only an escape can spell what UTF-8 cannot

@@ -50,12 +50,18 @@ def scale(
         exact = Fraction(_at_own_width(value)) * per_unit + offset
         whole = _rounded(exact, parameter.rounding, where)
     if not parameter.low <= whole <= parameter.high or abs(whole) > MAX_INTEGER:
-        raise _refusal(
-            Reason.VALUE_OUT_OF_RANGE,
-            f"expected {parameter.low} to {parameter.high} {parameter.unit}, got {whole}",
-            where,
-        )
+        message = f"expected {_range_text(parameter, per_unit, offset)}, got {value}"
+        raise _refusal(Reason.VALUE_OUT_OF_RANGE, message, where)
     return whole
+
+
+def _range_text(parameter: Parameter, per_unit: Fraction, offset: int) -> str:
+    """Return a range as who wrote the number counts, and in the parameter's unit."""
+    own = f"{parameter.low} to {parameter.high} {parameter.unit}"
+    if per_unit == 1 and not offset:
+        return own
+    ends = ((end - offset) / per_unit for end in (parameter.low, parameter.high))
+    return f"{' to '.join(f'{float(end):.6g}' for end in ends)} ({own})"
 
 
 def _at_own_width(value: int | Decimal, *, wide: int = 13) -> int | Decimal:

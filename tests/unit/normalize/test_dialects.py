@@ -107,7 +107,7 @@ def test_what_is_no_plan_is_refused_where_it_stands() -> None:
     for text, where in [
         ('{"plan": []} That is all.', "input[13]"),
         ("go()\n```", "input"),
-        ("{'plan': []}", "input.plan"),
+        ("{'plan': []}", "input[1]"),
         ("['find Mug']", "input[1]"),
         ("{plan: []}", "input[1]"),
         ('{"plan": [], // none\n}', "input[13]"),

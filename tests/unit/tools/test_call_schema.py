@@ -72,6 +72,7 @@ def test_names_ranges_and_units_are_spelled_out_and_refused_fields_left_out() ->
                 "description": "How fast, in m/s",
                 "minimum": 0.001,
                 "maximum": 3,
+                "default": 0.5,
             },
             "why": {"type": "string"},
             "plan": {"type": "object", "properties": {"tree": {"enum": [""]}}, "required": []},

@@ -74,7 +74,13 @@ def test_refused_fields_and_tools_that_write_state_are_not_shown() -> None:
     assert go.description == "Navigate, with the base."
     assert go.parameters["properties"] == {
         "to": {"type": "string", "description": "destination", "enum": [*SQUARES]},
-        "speed": {"type": "number", "description": "in m/s", "minimum": 0.001, "maximum": 3},
+        "speed": {
+            "type": "number",
+            "description": "in m/s",
+            "minimum": 0.001,
+            "maximum": 3,
+            "default": 0.5,
+        },
         "mode": {"enum": ["safe"]},
         "why": {"type": "string", "description": "why, for people"},
     }

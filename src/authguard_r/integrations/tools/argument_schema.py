@@ -106,6 +106,7 @@ class ArgumentSchemas:
         parameter = kind.params[name]
         if self._most is None:
             ends = {"minimum": parameter.low, "maximum": parameter.high}
+            ends |= {} if argument.default is None else {"default": argument.default}
         else:
             ends = {"maximum": self._most[name]} if name in self._most else {}
         return {

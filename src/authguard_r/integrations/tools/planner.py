@@ -63,7 +63,7 @@ class CallOutcome(Struct, frozen=True, kw_only=True):
         places = [_place_text(finding) for finding in told or self.step.get("findings") or ()]
         same = "may" if self.step.get("retryable") else "will not"
         said = "refused: " + ", ".join(self.step["reasons"])
-        return "\n".join([said, *places, f"the same call {same} pass later"])
+        return "\n".join([said, *dict.fromkeys(places), f"the same call {same} pass later"])
 
     @property
     def results(self) -> tuple[str, ...]:

@@ -28,7 +28,8 @@ def read_reply(text: str, dialect: Dialect, form: ReplyForm | None = None) -> Pl
     """
     reading = read(text, dialect, form)
     if not reading.calls:
-        raise MalformedError("expected at least one call", where="input", reason=Reason.PLAN_EMPTY)
+        text = "expected a call; text beside calls is not read: if it is the plan, send it alone"
+        raise MalformedError(text, where="input", reason=Reason.PLAN_EMPTY)
     expect_few(len(reading.calls))
     return reading
 

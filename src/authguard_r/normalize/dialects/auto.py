@@ -113,7 +113,7 @@ _CALL = re.compile(r"[ \t\r\n]*[A-Za-z_][A-Za-z0-9_]*\(")
 _CODE = re.compile(r"[ \t\r\n]*(?:#|[A-Za-z_][A-Za-z0-9_.]*\()")
 _DOTTED = re.compile(r"[ \t\r\n]*\[[ \t\r\n]*[A-Za-z_][A-Za-z0-9_.]*\(")
 _QUOTED = re.compile(r"[=\"']")
-_SINGLE = re.compile(r"[ \t\r\n]*\{[ \t\r\n]*'")
+_SINGLE = re.compile(r"[ \t\r\n]*\{[ \t\r\n]*'(?:function|response)'")
 #: How the languages of a fence are called that hold calls of Python.
 _PYTHON = frozenset({"python", "py", "tool_code"})
 
@@ -210,7 +210,8 @@ def _recognized(text: str, form: ReplyForm | None) -> PlanReading:
     value = read_json(text, where="input")
     claims = _claims(value, form)
     if not claims:
-        raise _unknown("no dialect has such JSON", "input")
+        text = "expected JSON in a known format, or as the binding declares it under `reply`"
+        raise _unknown(text, "input")
 
     def of(dialect: Dialect) -> PlanReading:
         return PlanReading(dialect, _of_json(dialect, value, form))
