@@ -113,6 +113,13 @@ def _targets(timings: dict[str, Timing], revoked: dict[str, Any]) -> list[Figure
             ("normalize.100kB", "json.loads"),
             target=12,
         ),
+        _ratio(
+            timings,
+            "formats_over_json",
+            "every reply format in JSON recognized and read / `json.loads` of the same texts",
+            ("read.formats", "json.loads.formats"),
+            target=10,
+        ),
         Figure(
             "revocation_evicts",
             f"the kept mission is gone and the next proposal refused, {revoked['count']} of "

@@ -21,10 +21,12 @@ from authguard_r.core.token import VerifiedMission, sign_object, verify_mission
 from authguard_r.enforcement.inputs import ISSUER_ROLES
 from authguard_r.keys.trust import Trust, read_trust
 from authguard_r.normalize import read_plan
+from authguard_r.normalize.dialects import Dialect, read_reply
 from authguard_r.provenance.context import ContextLedger
 from authguard_r.provenance.labels import label_fields
 from authguard_r.safety import EnvelopeGate, default_config
 from authguard_r.store.memory import MemoryStore
+from fixtures.reply_formats import READ, Reply
 from measure import Effort, Subject, Timing, interleave, timed
 from scene import GRANT, HIJACKED, Scene, bench, long_mission, reply, scenarios, scene
 from yardsticks import BiscuitGate, Cedar, Signatures, cedar_five, values
@@ -56,6 +58,8 @@ _SEEN = "The porter says that Station 103 is busy and the lift is slow; nobody k
 def normalizing(effort: Effort) -> dict[str, Timing]:
     """Time one action from the planner's bytes to labels and evidence, beside `json.loads`.
 
+    Then every format of a reply that is JSON, recognized and read.
+
     Reading, binding, labels, and which inputs mentioned what it carries, as the enforcer does it
     for each proposal; the ledger took its inputs in before, as a client does when they arrive.
     """
@@ -68,7 +72,26 @@ def normalizing(effort: Effort) -> dict[str, Timing]:
             seen = (_SEEN * 30)[: min(2_000, size - start)]
             ledger.add("camera" if start % 4_000 else "document", seen)
         subjects.append(Subject(f"normalize.{name}", timed(_normalizing(here, good, ledger))))
-    return interleave(subjects, effort)
+    replies = [one for one in READ if one.text.lstrip()[:1] in {"{", "["} and _is_json(one.text)]
+    texts = [one.text for one in replies]
+    formats = [
+        Subject("json.loads.formats", timed(lambda: [json.loads(text) for text in texts])),
+        Subject("read.formats", timed(lambda: [_recognized(one) for one in replies])),
+    ]
+    return interleave(subjects, effort) | interleave(formats, effort)  # each with its own cache
+
+
+def _is_json(text: str) -> bool:
+    """Return whether a reply is JSON and nothing else."""
+    try:
+        json.loads(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _recognized(one: Reply) -> object:
+    return read_reply(one.text, Dialect.AUTO, one.form)
 
 
 def _normalizing(here: Scene, data: bytes, ledger: ContextLedger) -> Callable[[], object]:

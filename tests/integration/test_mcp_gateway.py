@@ -1091,7 +1091,9 @@ def test_what_may_run_beside_is_called_while_the_robot_moves(tmp_path: Path) -> 
             assert (verdict(seen)["execution"], drive.done()) == ("succeeded", False)
             (house.folder / "go").touch()
             async with asyncio.timeout(PATIENCE_S):
-                assert verdict(await drive)["execution"] == "succeeded"
+                drove = verdict(await drive)
+            made = [told["dispatched"]["tool"] for told in (drove, verdict(seen))]
+            assert (drove["execution"], made) == ("succeeded", ["navigate_to", "scan"])
 
     with own_house(tmp_path, site=site) as house:
         run(talk)

@@ -40,12 +40,14 @@ def chat_reply(chunks: Iterable[Mapping[str, Any]]) -> bytes:
         if finish is not None:
             raise MalformedError("expected nothing after the end", where=where)
         choice = _object(choices[0], f"{where}.choices[0]")
+        if choice.get("index") not in {None, 0}:
+            raise MalformedError("expected the first choice", where=f"{where}.choices[0].index")
         delta = _object(choice.get("delta"), f"{where}.choices[0].delta")
         if delta.get("function_call") is not None:
             place = f"{where}.choices[0].delta.function_call"
             raise MalformedError("expected calls in `tool_calls` only", where=place)
         text += _text(delta.get("content"), f"{where}.choices[0].delta.content")
-        for at, part in enumerate(delta.get("tool_calls") or ()):
+        for at, part in enumerate(_listed(delta, f"{where}.choices[0].delta")):
             place = f"{where}.choices[0].delta.tool_calls[{at}]"
             _add_call(calls, _object(part, place), place)
         finish = choice.get("finish_reason")
@@ -168,6 +170,13 @@ def _with_input(block: _Json, spelled: str) -> str:
     _object(read, f"{block.get('name')}.input")
     head = json.dumps({key: said for key, said in block.items() if key != "input"})
     return f'{head[:-1]}, "input": {spelled}}}'
+
+
+def _listed(delta: _Json, where: str) -> list[Any]:
+    parts = delta.get("tool_calls") or []
+    if not isinstance(parts, list):
+        raise MalformedError("expected a list", where=f"{where}.tool_calls")
+    return parts
 
 
 def _object(value: Any, where: str) -> _Json:

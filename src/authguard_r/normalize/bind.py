@@ -29,6 +29,7 @@ from authguard_r.normalize.argument_paths import (
     unknown_field,
 )
 from authguard_r.normalize.binding import (
+    FORMS,
     POSE,
     REGION,
     STOPS,
@@ -188,6 +189,9 @@ class Binder:
         for way in found:
             if all(same(look(call.arguments, p), c) for p, c in way.tool.when.items()):
                 return way
+        silent = [way for way in found if _says_no_form(way.tool, call.arguments)]
+        if len(silent) == 1:
+            return silent[0]
         path = _stray(call, tuple(way.tool for way in found))
         raise refusal(
             Reason.TOOL_UNKNOWN,
@@ -303,6 +307,15 @@ class Binder:
 def _is_needed(argument: Argument) -> bool:
     """True when a call that leaves the argument out is refused, unless something is carried."""
     return argument.use is not ArgumentUse.REFUSED and not argument.optional
+
+
+def _says_no_form(tool: ToolBinding, arguments: dict[str, Any]) -> bool:
+    """True of a way that a call is but for the form of its message, which it leaves out."""
+    forms = tool.when.keys() & FORMS
+    return forms.isdisjoint(arguments) and all(
+        path in forms or same(look(arguments, path), constant)
+        for path, constant in tool.when.items()
+    )
 
 
 def _stray(call: Call, tools: Ways) -> str:

@@ -42,7 +42,7 @@ POSE = ("pose.x", "pose.y", "pose.map")
 #: Arguments whose constant names what is really moved, as ROS interfaces call them.
 _MOVED = ("topic", "action", "action_name", "service", "service_name")
 #: Arguments that only name the form of a message: in any form it goes to the same receiver.
-_FORMS = ("type", "msg_type", "action_type", "service_type")
+FORMS = frozenset({"type", "msg_type", "action_type", "service_type"})
 #: The target of a list of places: the last is the destination, those before it the route.
 STOPS = "stops"
 #: The target of a place's name within `each`.
@@ -252,7 +252,7 @@ def _may_share(one: ToolBinding, two: ToolBinding) -> bool:
     """True when two ways to one effect are one kind of action, or two commands of one receiver."""
     if (one.type, one.tool) == (two.type, two.tool):
         return True
-    return not (one.effect or two.effect) and _apart(one, two, beside=(*_MOVED, *_FORMS))
+    return not (one.effect or two.effect) and _apart(one, two, beside=(*_MOVED, *FORMS))
 
 
 def _words(arguments: dict[str, Argument]) -> Iterator[str]:

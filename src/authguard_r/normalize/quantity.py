@@ -48,7 +48,8 @@ def scale(
     whole, left = divmod(top + offset * bottom, bottom)
     if left:
         exact = Fraction(_at_own_width(value)) * per_unit + offset
-        whole = _rounded(exact, parameter.rounding, where)
+        is_whole = exact.denominator == 1
+        whole = exact.numerator if is_whole else _rounded(exact, parameter.rounding, where)
     if not parameter.low <= whole <= parameter.high or abs(whole) > MAX_INTEGER:
         message = f"expected {_range_text(parameter, per_unit, offset)}, got {value}"
         raise _refusal(Reason.VALUE_OUT_OF_RANGE, message, where)

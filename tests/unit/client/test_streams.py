@@ -86,6 +86,10 @@ def test_parts_of_a_chat_that_fit_nowhere_are_refused_in_their_place() -> None:
         ([{}], "chunks[0].choices"),
         ([{"choices": [{}, {}]}], "chunks[0].choices"),
         ([{"choices": [{"delta": "x"}]}], "chunks[0].choices[0].delta"),
+        ([{"choices": [{"index": 1, "delta": {}}]}], "chunks[0].choices[0].index"),
+        ([begun, {"choices": [{"index": 1, "delta": {}}]}], "chunks[1].choices[0].index"),
+        ([chunk({"tool_calls": 5})], "chunks[0].choices[0].delta.tool_calls"),
+        (["data: {}"], "chunks[0]"),  # a line of the stream, not yet read
         ([chunk({"function_call": {"name": "go"}})], "chunks[0].choices[0].delta.function_call"),
         ([chunk({"content": 7})], "chunks[0].choices[0].delta.content"),
         ([part(1, "{}", "go")], "chunks[0].choices[0].delta.tool_calls[0].index"),

@@ -474,6 +474,22 @@ def test_a_limit_is_rounded_away_from_zero_and_by_less_than_one(
     assert (found == exact) == (exact.denominator == 1)
 
 
+def test_a_number_of_32_bits_is_read_at_its_own_width_and_no_other_number_is() -> None:
+    for text, wanted in [
+        ("0.800000011920929", 800),
+        ("0.10000000149011612", 100),
+        ("-0.30000001192092896", -300),
+        ("0.800000011920928", 801),  # no double spells these 32 bits so
+        ("0.80000001", 801),
+        ("0.8000005", 801),
+    ]:
+        with case(text):
+            assert scaled(Decimal(text), Rounding.LIMIT, Fraction(1000)) == wanted
+    assert scaled(Decimal("0.800000011920929"), Rounding.COUNT, Fraction(1000)) == 800
+    with pytest.raises(MalformedError):
+        scaled(Decimal("0.80000001"), Rounding.COUNT, Fraction(1000))
+
+
 @settings(max_examples=amount(60, 300))
 @given(decimals, factors)
 def test_a_position_is_rounded_to_the_nearest_and_halves_to_even(

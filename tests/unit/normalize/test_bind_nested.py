@@ -367,6 +367,23 @@ def test_a_call_is_the_one_way_whose_constants_it_has() -> None:
     refused(PUBLISH, {"topic": "/initialpose"}, Reason.STATE_WRITING_REFUSED, "input")
 
 
+def test_the_form_of_a_message_may_be_left_out_where_its_name_has_one_form() -> None:
+    drive = {**WAIT, "type": "hold", "when": {"topic": "/go", "type": "a/msg/B"}}
+    stop = {**WAIT, "type": "hold", "when": {"topic": "/stop", "type": "a/msg/B"}}
+    other = {**WAIT, "type": "hold", "when": {"topic": "/stop", "type": "a/msg/C"}}
+    ways = [drive, stop, other]
+    said = {"topic": "/go"}
+    assert bind(ways, said) == bind(ways, {**said, "type": "a/msg/B"})
+    for arguments, where in [
+        ({**said, "type": "a/msg/C"}, "input.topic"),
+        ({**said, "type": None}, "input.type"),
+        ({**said, "topic": "/stop"}, "input.type"),  # two forms: the binding does not know it
+        ({"type": "a/msg/B"}, "input.topic"),
+    ]:
+        with case(arguments):
+            refused(ways, arguments, Reason.TOOL_UNKNOWN, where)
+
+
 def test_a_name_is_what_the_executor_resolves_and_nothing_like_it() -> None:
     """Another spelling is another topic (L2)."""
     for topic in [

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -345,3 +346,25 @@ def test_poses_of_jazzy_and_of_kilted_are_one_action_and_no_third_form_is() -> N
     ):
         with case(poses), pytest.raises(MalformedError):
             binder.bind(through(poses))
+
+
+def test_a_timed_publish_of_ros_mcp_is_a_stream_that_ends_with_its_duration() -> None:
+    """How often the planner wants it sent is noted; the robot is given ten a second."""
+    binding = convert(binding_source("ros-mcp"), Binding, where="ros-mcp")
+    place = probe_site(binding, standard_words())
+    binder, rebuilder = Binder(place, binding), Rebuilder(place, binding)
+    said = {"topic": "/cmd_vel", "msg_type": "geometry_msgs/msg/Twist", "durations": [2]}
+    moved = {**said, "messages": [{"linear": {"x": Decimal("0.2")}}]}
+    actions = [
+        binder.bind(Call("publish_for_durations", {**moved, **more}, "x"))
+        for more in ({}, {"rate_hz": 0}, {"rate_hz": 50})
+    ]
+    assert actions == [actions[0]] * 3
+    assert actions[0].params == {"duration_ms": 2_000, "lateral_mm_s": 0, "linear_mm_s": 200,
+                                 "turn_urad_s": 0}  # fmt: skip
+    made = rebuilder.rebuild(actions[0])
+    assert made.tool == "publish_for_durations"
+    assert (made.arguments["rate_hz"], made.arguments["durations"]) == (10, [2])
+    for more in ({"durations": [2, 3]}, {"durations": []}, {"messages": []}):
+        with case(more), pytest.raises(MalformedError):
+            binder.bind(Call("publish_for_durations", {**moved, **more}, "x"))

@@ -65,7 +65,7 @@ def test_another_field_is_refused() -> None:
         ({**GOAL, "feedbacks": True}, "input.feedbacks"),
         ({**GOAL, "type": "m/action/Go"}, "input.type"),
         ({**GOAL, "goal": {}}, "input.goal"),
-        ({**MESSAGE, "latch": True}, "input.latch"),
+        ({**REQUEST, "latch": False}, "input.latch"),
         ({**MESSAGE, "args": {}}, "input.args"),
         ({**REQUEST, "timeout": 1}, "input.timeout"),
         ({**REQUEST, "compression": "png"}, "input.compression"),

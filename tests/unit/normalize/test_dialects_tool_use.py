@@ -115,7 +115,7 @@ def test_a_message_that_is_no_plan_is_refused_in_its_place() -> None:
         (message({**USE, "input": None}), "content[0].input"),
         (message({**USE, "input": []}), "content[0].input"),
         (message({**USE, "input": '{"to": "Dock"}'}), "content[0].input"),
-        (message({**USE, "caller": None}), "content[0].caller"),
+        (message({**USE, "caller": "direct"}), "content[0].caller"),
         (
             message({**USE, "caller": {"type": "code_execution_20250825", "tool_id": "x"}}),
             "content[0].caller",
@@ -187,7 +187,7 @@ def test_a_request_that_is_no_tool_call_is_refused_in_its_place() -> None:
         (request(params=None), "input.params"),
         (request(params=["go"]), "input.params"),
         (params(name=None), "input.params.name"),
-        (params(arguments=None), "input.params.arguments"),
+        (params(arguments=False), "input.params.arguments"),
         (params(arguments=[]), "input.params.arguments"),
         (params(arguments="{}"), "input.params.arguments"),
         ("[" + request(id=1) + "," + request(id=1) + "]", "input[1].id"),

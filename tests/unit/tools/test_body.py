@@ -301,9 +301,8 @@ def test_what_may_run_beside_does_and_its_end_is_its_own() -> None:
         scan = body.begin(SCAN, ticket(1))
         await until(lambda: scan.outcome() is not None)
         assert (scan.outcome(), drive.outcome()) == (Outcome.SUCCEEDED, None)
-        made = body.call_of(ticket(1))
-        assert made is not None
-        assert (made.tool, body.call_of(TICKET)) == ("scan", None)
+        made = [body.call_of(one) for one in (TICKET, ticket(1), ticket(2), None)]
+        assert [one and one.tool for one in made] == ["navigate_to", "scan", None, None]
         body.brake()
         await until(lambda: drive.outcome() is not None)
         assert body.stands

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from fractions import Fraction
+from math import ceil, floor
 from typing import Any
 
 from authguard_r.core.identifiers import ParameterId
@@ -37,6 +38,8 @@ _UNITS = {
     ("g", "1000", 0): "kg",
     ("millikelvin", "1000", 273_150): "degrees Celsius",
 }
+#: The last decimal of an end that has no short one.
+_DIGITS = 1_000_000
 _OBJECT, _STRING = "object", {"type": "string"}
 
 
@@ -112,7 +115,7 @@ class ArgumentSchemas:
         return {
             "type": "integer" if argument.whole else "number",
             "description": f"in {unit_of(argument, parameter.unit)}",
-            **{end: _in_tool_units(value, argument) for end, value in ends.items()},
+            **{end: _in_tool_units(value, argument, end) for end, value in ends.items()},
         }
 
     def _name(self, names: Sequence[str], what: str) -> Schema:
@@ -120,9 +123,14 @@ class ArgumentSchemas:
         return {**_STRING, "description": what, **listed}
 
 
-def _in_tool_units(value: int, argument: Argument) -> int | float:
+def _in_tool_units(value: int, argument: Argument, end: str) -> int | float:
+    """Return a number as the tool counts, inside the range where it has no short decimal."""
     exact = (value - argument.offset) / Fraction(argument.per_unit)
-    return int(exact) if exact.denominator == 1 else float(exact)
+    if exact.denominator == 1:
+        return int(exact)
+    inward = ceil if end == "minimum" else floor
+    scaled = exact * _DIGITS
+    return float(exact) if scaled.denominator == 1 else inward(scaled) / _DIGITS
 
 
 def unit_of(argument: Argument, unit: str) -> str:
@@ -178,4 +186,5 @@ def _below(schemas: Mapping[str, Schema], required: Sequence[str]) -> Schema:
     if not all(map(is_index, made["properties"])):
         return made
     items = [made["properties"][key] for key in sorted(made["properties"], key=int)]
-    return {"type": "array", "prefixItems": items, "maxItems": len(items)}
+    least = max((int(key) + 1 for key in made["required"]), default=0)
+    return {"type": "array", "prefixItems": items, "minItems": least, "maxItems": len(items)}

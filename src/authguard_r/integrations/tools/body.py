@@ -141,12 +141,11 @@ class ToolBody:
         self._is_over = False
         self._task: asyncio.Task[None] | None = None
         self._beside: dict[asyncio.Task[None], ToolGoal] = {}
-        self._made_call: tuple[Digest, Call] | None = None
+        self._made_calls: dict[Digest, Call] = {}
 
     def call_of(self, ticket: str | None) -> Call | None:
-        """Return the call that was made for a release, while it is the last one; else None."""
-        known = self._made_call
-        return known[1] if known is not None and known[0] == ticket else None
+        """Return the call that was made for a release, of the last few; else None."""
+        return None if ticket is None else self._made_calls.get(Digest(ticket))
 
     @property
     def stands(self) -> bool:
@@ -262,7 +261,9 @@ class ToolBody:
         try:
             wanted = self._means.binder.expected(call)
             made = Call(call.tool, json.loads(call_bytes(call))["arguments"], call.where)
-            self._made_call = (ticket, made)
+            self._made_calls[ticket] = made
+            if len(self._made_calls) > 2 * MOST_BESIDE:
+                del self._made_calls[next(iter(self._made_calls))]
             answer, done = await self._made(made, wanted, LONGEST_S, ticket)
         except CallError as error:
             if not error.sent:

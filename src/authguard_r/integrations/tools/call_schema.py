@@ -8,13 +8,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import deepcopy
+from typing import Any
 
 from authguard_r.integrations.tools.argument_schema import ArgumentSchemas, Schema
-from authguard_r.normalize.binding import Argument, ArgumentUse, Binding, is_index, ways_of
+from authguard_r.normalize.binding import (
+    Argument,
+    ArgumentUse,
+    Binding,
+    ToolBinding,
+    is_index,
+    ways_of,
+)
 from authguard_r.site.model import Site
 
 #: What a field says for people, beside its values.
 _SAID = ("title", "description", "examples")
+#: Most references that are followed one after the other.
+_REFERENCES = 8
 
 
 def narrowed(schema: Schema, name: str, binding: Binding, site: Site) -> Schema:
@@ -41,7 +51,28 @@ def narrowed(schema: Schema, name: str, binding: Binding, site: Site) -> Schema:
         elif len(ways) == 1:
             argument = ways[0].arguments[path]
             _narrow(found, path.split("."), argument, words.of(ways[0], path, argument))
+    _prune(found, found, [path.split(".") for way in ways for path in _bound(way)])
     return found
+
+
+def _bound(way: ToolBinding) -> list[str]:
+    also = [name for argument in way.arguments.values() for name in argument.also]
+    return [*way.arguments, *way.when, *also]
+
+
+def _prune(schema: Schema, root: Schema, bound: list[list[str]]) -> None:
+    """Leave out the fields that no path leads to: a call with one is refused."""
+    fields = schema.get("properties")
+    if not isinstance(fields, dict):
+        return
+    for name in list(fields):
+        below = [path[1:] for path in bound if path[0] == name]
+        if not below:
+            del fields[name]
+            schema["required"] = [field for field in schema.get("required", ()) if field != name]
+        elif all(below):
+            fields[name] = _one_form(fields[name], root)
+            _prune(fields[name], root, below)
 
 
 def _drop(schema: Schema, path: Sequence[str]) -> None:
@@ -62,10 +93,13 @@ def _narrow(schema: Schema, path: Sequence[str], argument: Argument, values: Sch
     if parents is None:
         return
     parent, name = parents[-1]
-    field, required = parent["properties"][name], set(parent.get("required", ()))
-    needed = argument.use is not ArgumentUse.NOTED and not argument.optional
-    parent["required"] = sorted(required | {name} if needed else required - {name})
-    if argument.use is not ArgumentUse.NOTED:
+    field, noted = parent["properties"][name], argument.use is ArgumentUse.NOTED
+    if noted or argument.optional:
+        parent["required"] = [other for other in parent.get("required", ()) if other != name]
+    else:  # and so is each object that it stands in
+        for outer, inner in parents:
+            outer["required"] = sorted({*outer.get("required", ()), inner})
+    if not noted:
         said = {key: field[key] for key in _SAID if key in field}
         parent["properties"][name] = {**values, **said}
         if "description" in said and values.get("type") in {"number", "integer"}:
@@ -76,10 +110,30 @@ def _narrow(schema: Schema, path: Sequence[str], argument: Argument, values: Sch
 def _parents(schema: Schema, path: Sequence[str]) -> list[tuple[Schema, str]] | None:
     """Return the objects on a path with the field that leads on; None where the schema has none."""
     found: list[tuple[Schema, str]] = []
+    root = schema
     for name in path:
         fields = schema.get("properties")
         if is_index(name) or not isinstance(fields, dict) or not isinstance(fields.get(name), dict):
             return None
+        fields[name] = _one_form(fields[name], root)
         found.append((schema, name))
         schema = fields[name]
     return found
+
+
+def _one_form(field: Any, root: Schema) -> Any:
+    """Return a field's schema where it stands, without a reference, and without null."""
+    for _ in range(_REFERENCES):
+        if not isinstance(field, dict):
+            return field
+        forms = [one for one in field.get("anyOf", ()) if one != {"type": "null"}]
+        target = str(field.get("$ref", "")).removeprefix("#/$defs/")
+        if len(forms) == 1:
+            inner = forms[0]
+        elif target in root.get("$defs", {}):
+            inner = root["$defs"][target]
+        else:
+            return field
+        said = {key: field[key] for key in _SAID if key in field}
+        field = {**deepcopy(inner), **said} if isinstance(inner, dict) else inner
+    return field

@@ -42,8 +42,10 @@ from authguard_r.normalize.dialects.spine import LIST, read_spine, read_spine_re
 from authguard_r.normalize.dialects.templates import (
     TEMPLATES,
     TemplateReading,
+    blank,
     fenced,
     read_pythonic,
+    trimmed,
 )
 from authguard_r.normalize.dialects.tool_use import (
     read_anthropic,
@@ -102,10 +104,11 @@ _KEYS: tuple[tuple[str, type[Any], Dialect], ...] = (
     ("data", dict, Dialect.LANGCHAIN),
     ("jsonrpc", object, Dialect.MCP),
     ("op", object, Dialect.ROS2),
-    ("function", object, Dialect.BADROBOT),
+    ("function", list, Dialect.BADROBOT),
     ("tool", object, Dialect.JSON),
     ("name", object, Dialect.JSON),
 )
+_NAMES = frozenset(key for key, _, _ in _KEYS)
 #: The dialects of which a list of objects may be.
 _LISTED = frozenset({Dialect.MCP, Dialect.ROS2, Dialect.JSON})
 _SPACE = " \t\r\n"
@@ -114,6 +117,8 @@ _CODE = re.compile(r"[ \t\r\n]*(?:#|[A-Za-z_][A-Za-z0-9_.]*\()")
 _DOTTED = re.compile(r"[ \t\r\n]*\[[ \t\r\n]*[A-Za-z_][A-Za-z0-9_.]*\(")
 _QUOTED = re.compile(r"[=\"']")
 _SINGLE = re.compile(r"[ \t\r\n]*\{[ \t\r\n]*'(?:function|response)'")
+#: What `calls` refuses and code may have: arguments by their position.
+_POSITIONAL = "expected `field=literal`"
 #: How the languages of a fence are called that hold calls of Python.
 _PYTHON = frozenset({"python", "py", "tool_code"})
 
@@ -144,6 +149,7 @@ def read(text: str, dialect: Dialect, form: ReplyForm | None = None) -> PlanRead
     Raises:
         MalformedError: broken, in no dialect, or in two that differ (`DIALECT_UNKNOWN`).
     """
+    text = trimmed(text)
     if dialect is Dialect.AUTO:
         return _unwrapped(text, form)
     if dialect in _OF_TEMPLATE:
@@ -169,7 +175,8 @@ def _of_json(dialect: Dialect, value: Any, form: ReplyForm | None) -> tuple[Call
 
 def _unwrapped(text: str, form: ReplyForm | None) -> PlanReading:
     """Read a plan out of the one thing that is wrapped around it, or as it stands."""
-    if text.lstrip(_SPACE)[:1] in {"{", "["} and not text.lstrip(_SPACE).startswith("[TOOL_CALLS]"):
+    begins = text.lstrip(_SPACE)
+    if begins[:1] in {"{", "["} and not begins.startswith(("[TOOL_CALLS]", "[THINK]")):
         return _recognized(text, form)
     shown = [(tag, dialect) for tag, dialect, _ in TEMPLATES if tag in text]
     if "```" in text and not any(dialect is Dialect.DEEPSEEK for _, dialect in shown):
@@ -179,13 +186,22 @@ def _unwrapped(text: str, form: ReplyForm | None) -> PlanReading:
         raise _unknown(f"expected one way to mark calls, got {tags}", "input")
     if not shown:
         thought, over, rest = text.partition("</think>")
-        if not over or not thought.lstrip(_SPACE).startswith("<think>"):
+        if not over or not begins.startswith("<think>"):
             return _recognized(text, form)
+        if rest.lstrip(_SPACE)[:1] in {"{", "["}:
+            rest = blank(thought + over) + rest
         reading = _recognized(rest, form)
         around = _around("think", len(thought.strip(_SPACE)) + len(over), 0)
         return PlanReading(reading.dialect, reading.calls, around)
-    if shown[0][1] is not Dialect.AUTO:
-        return read(text, shown[0][1])
+    if _CODE.match(text):  # code, with a tag in a comment, says something by itself
+        return _agreed([partial(_taken_out, text, shown[0][1], form), partial(_of_words, text)])
+    return _taken_out(text, shown[0][1], form)
+
+
+def _taken_out(text: str, dialect: Dialect, form: ReplyForm | None) -> PlanReading:
+    """Read what stands in the tags of a dialect, or in a fence."""
+    if dialect is not Dialect.AUTO:
+        return read(text, dialect)
     inner, language, before, after = fenced(text)
     reading = read(inner, Dialect.PYTHON) if language in _PYTHON else _recognized(inner, form)
     return PlanReading(reading.dialect, reading.calls, _around("fence", before, after))
@@ -212,11 +228,13 @@ def _recognized(text: str, form: ReplyForm | None) -> PlanReading:
     if not claims:
         text = "expected JSON in a known format, or as the binding declares it under `reply`"
         raise _unknown(text, "input")
+    if len(claims) == 1:
+        return _as(claims[0], value, form)
+    return _agreed([partial(_as, dialect, value, form) for dialect in claims])
 
-    def of(dialect: Dialect) -> PlanReading:
-        return PlanReading(dialect, _of_json(dialect, value, form))
 
-    return _agreed([partial(of, dialect) for dialect in claims])
+def _as(dialect: Dialect, value: Any, form: ReplyForm | None) -> PlanReading:
+    return PlanReading(dialect, _of_json(dialect, value, form))
 
 
 def _of_words(text: str) -> PlanReading:
@@ -245,8 +263,9 @@ def _of_words(text: str) -> PlanReading:
 def _code_or(error: MalformedError, text: str) -> PlanReading:
     try:
         return read(text, Dialect.PYTHON)
-    except MalformedError:
-        raise error from None
+    except MalformedError as other:
+        later = _POSITIONAL in error.message and not other.where.startswith("line[1]")
+        raise other if later else error from None
 
 
 def _claims(value: Any, form: ReplyForm | None) -> list[Dialect]:
@@ -258,7 +277,9 @@ def _claims(value: Any, form: ReplyForm | None) -> list[Dialect]:
         return [Dialect.STEPS]
     if not isinstance(first, dict):
         return []
-    found = [d for key, kind, d in _KEYS if key in first and isinstance(first[key], kind)]
+    found = []
+    if not _NAMES.isdisjoint(first):
+        found = [d for key, kind, d in _KEYS if key in first and isinstance(first[key], kind)]
     if "tool_calls" in first:  # a stored message, which names its role or its type
         found.append(Dialect.OPENAI if "role" in first else Dialect.LANGCHAIN)
     if first is not value:

@@ -50,6 +50,13 @@ class Dialect(StrEnum):
     ROS2 = "ros2"
 
 
+#: Fields in which some program has calls. Those that tell whole replies of servers apart are not
+#: here: a reply of two servers at once is read by both, and they must agree.
+_CALL_FIELDS = frozenset(
+    {"tool_calls", "function_call", "function", "delta", "tool", "plan", "actions", "steps", "op"}
+)
+
+
 class Call(Struct, frozen=True):
     """One call of a planner.
 
@@ -94,6 +101,34 @@ def expect_fields(value: dict[str, Any], allowed: AbstractSet[str], where: str) 
         )
 
 
+def expect_model(message: dict[str, Any], where: str) -> None:
+    """Refuse a message that says that somebody else than the model wrote it.
+
+    Raises:
+        MalformedError: its `role` is another than `assistant`.
+    """
+    if message.get("role", "assistant") != "assistant":
+        raise MalformedError("expected `assistant`", where=f"{where}role")
+
+
+def expect_no_call(value: dict[str, Any], where: str, *known: str) -> None:
+    """Refuse an object with a call in a place where its format has none: it would be lost.
+
+    Args:
+        value: an object of which other fields are not looked at.
+        where: its place, with a dot at its end; empty at the top.
+        known: fields in which the format has its calls.
+
+    Raises:
+        MalformedError: with the first such field as the place.
+    """
+    if _CALL_FIELDS.isdisjoint(value):
+        return
+    for name in sorted(_CALL_FIELDS.intersection(value).difference(known)):
+        if value[name] not in (None, [], {}):
+            raise MalformedError("expected no calls in this field", where=f"{where}{name}")
+
+
 def items_of(value: Any, where: str) -> Iterator[tuple[dict[str, Any], str]]:
     """Yield every object of a list with its place.
 
@@ -129,13 +164,14 @@ def call_of(item: dict[str, Any], tool: str, arguments: str, where: str) -> Call
 
 
 def spelled(item: dict[str, Any], where: str) -> dict[str, Any]:
-    """Return `arguments` that a server gives as JSON text; an empty text means none.
+    """Return `arguments` that a server gives as JSON text; an empty text or null means none.
 
     Raises:
         MalformedError: no text, or not one JSON object.
     """
     place = f"{where}.arguments"
-    text = expect(item.get("arguments"), str, place)
+    is_null = "arguments" in item and item["arguments"] is None
+    text = "" if is_null else expect(item.get("arguments"), str, place)
     found: dict[str, Any] = expect(read_json(text, where=place), dict, place) if text else {}
     return found
 

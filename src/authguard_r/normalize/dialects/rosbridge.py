@@ -51,6 +51,7 @@ _OPERATIONS: dict[str, _Operation] = {
         texts=frozenset({"topic", "type"}),
         objects=frozenset({"msg"}),
         optional=frozenset({"type"}),
+        beside=frozenset({"latch"}),
     ),
     "call_service": _Operation(
         folder="srv",
@@ -95,6 +96,8 @@ def _operation(item: Any, where: str) -> Call:
     expect(operation.get("id", ""), str, f"{where}.id")
     if type(operation.get("feedback", False)) is not bool:
         raise MalformedError("expected a truth value", where=f"{where}.feedback")
+    if operation.get("latch", False) is not False:  # it would be sent again to who comes later
+        raise MalformedError("expected `false`", where=f"{where}.latch")
     arguments = {field: it for field, it in operation.items() if field not in beside}
     for field in sorted(fields - (known.optional - arguments.keys())):
         kind = str if field in known.texts else dict

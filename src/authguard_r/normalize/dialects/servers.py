@@ -16,6 +16,8 @@ from authguard_r.normalize.dialects.call import (
     call_of,
     expect,
     expect_fields,
+    expect_model,
+    expect_no_call,
     items_of,
     only,
     require_finished,
@@ -24,7 +26,10 @@ from authguard_r.normalize.dialects.call import (
 #: Fields of a part of a Gemini reply that belong to what the model thought, by both spellings.
 _GEMINI_PROSE = {"text", "thought", "thoughtSignature", "thought_signature"}
 #: How LangChain calls a message of the model, by the form that it is written in.
-_AI = {"ai", "AIMessage", "AIMessageChunk"}
+_AI = {"ai", "AIMessage"}
+#: How a server may say in a LangChain message that it was finished, and with which words.
+_ENDS = ("finish_reason", "stop_reason", "stopReason", "done_reason")
+_FINISHED = frozenset({"stop", "STOP", "tool_calls", "tool_use", "end_turn"})
 
 
 def read_gemini(value: Any) -> tuple[Call, ...]:
@@ -40,6 +45,7 @@ def read_gemini(value: Any) -> tuple[Call, ...]:
     """
     reply = expect(value, dict, "input")
     candidate = only(reply.get("candidates"), "candidates")
+    expect_no_call(reply, "")
     finish = "finish_reason" if "finish_reason" in candidate else "finishReason"
     require_finished(candidate, finish, {"STOP"}, "candidates[0].")
     content = expect(candidate.get("content"), dict, "candidates[0].content")
@@ -69,8 +75,10 @@ def read_bedrock(value: Any) -> tuple[Call, ...]:
     """
     reply = expect(value, dict, "input")
     require_finished(reply, "stopReason", {"tool_use", "end_turn"})
+    expect_no_call(reply, "")
     output = expect(reply.get("output"), dict, "output")
     message = expect(output.get("message"), dict, "output.message")
+    expect_model(message, "output.message.")
     calls = []
     for block, where in items_of(message.get("content"), "output.message.content"):
         expect_fields(block, {"text", "reasoningContent", "toolUse"}, where)
@@ -91,14 +99,20 @@ def read_ollama(value: Any) -> tuple[Call, ...]:
         MalformedError: not such a reply, or one that is not done.
     """
     reply = expect(value, dict, "input")
+    expect_no_call(reply, "")
     if reply.get("done") is not True:
         raise MalformedError("expected a finished reply, with `true`", where="done")
     if "done_reason" in reply:
         require_finished(reply, "done_reason", {"stop"})
     message = expect(reply.get("message"), dict, "message")
+    expect_model(message, "message.")
+    expect_no_call(message, "message.", "tool_calls")
     calls = []
     for item, where in items_of(message.get("tool_calls") or [], "message.tool_calls"):
         function = expect(item.get("function"), dict, f"{where}.function")
+        expect_fields(function, {"name", "arguments", "index"}, f"{where}.function")
+        if "arguments" in function and function["arguments"] is None:
+            function = {**function, "arguments": {}}
         calls.append(call_of(function, "name", "arguments", f"{where}.function"))
     return tuple(calls)
 
@@ -117,13 +131,18 @@ def read_langchain(value: Any) -> tuple[Call, ...]:
     kind = message.get("type")
     for inner in ("data", "kwargs"):  # `messages_to_dict` and `dumpd` wrap a message
         if isinstance(message.get(inner), dict):
+            expect_no_call(message, where)
             message, where = message[inner], f"{inner}."
             kind = message.get("type", kind)
-    if kind not in _AI:
-        raise MalformedError("expected a message of type `ai`", where=f"{where}type")
+    if kind not in _AI or message.get("tool_call_chunks"):  # of a chunk, LangChain mends arguments
+        raise MalformedError("expected a whole message of type `ai`", where=f"{where}type")
     if message.get("invalid_tool_calls"):
         text = "expected none: the framework could not read this call"
         raise MalformedError(text, where=f"{where}invalid_tool_calls")
+    told = expect(message.get("response_metadata", {}), dict, f"{where}response_metadata")
+    for name in _ENDS:
+        if told.get(name) is not None:
+            require_finished(told, name, _FINISHED, f"{where}response_metadata.")
     calls = []
     for item, place in items_of(message.get("tool_calls") or [], f"{where}tool_calls"):
         expect_fields(item, {"name", "args", "id", "type"}, place)

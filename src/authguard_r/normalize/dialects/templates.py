@@ -38,8 +38,12 @@ _HARMONY = re.compile(
     rf"<\|start\|>assistant(?: to=functions\.({_NAME}))?<\|channel\|>(analysis|commentary|final)"
     rf"(?: to=functions\.({_NAME}))?(?: ?(?:<\|constrain\|>)? ?json)?<\|message\|>"
 )
-_REACT = re.compile(rf"(?:\A|\n)Action: *({_NAME}) *\nAction Input:")
+_REACT = re.compile(rf"(?:\A|\n)Action: *({_NAME})[ \t]*\r?\n(?:[ \t]*\r?\n)?Action Input:")
 _STRAY = re.compile(r"(?:\A|\n)(?:Action|Action Input|Observation|Final Answer):")
+_LETTERS = re.compile(r"[^\n]")
+#: Where a model begins to think, and where it has thought.
+_THINKS = re.compile(r"<think(?:ing)?>|\[THINK\]")
+_THOUGHT = re.compile(r"</think(?:ing)?>|\[/THINK\]")
 _FENCE = re.compile(r"^```([A-Za-z_]{0,16})[ \t]*\r?$", re.MULTILINE)
 
 
@@ -63,7 +67,7 @@ def read_hermes(text: str) -> TemplateReading:
     Raises:
         MalformedError: a tag without its other one, text between or after the calls, broken JSON.
     """
-    before, *parts = _trimmed(text).split("<tool_call>")
+    before, *parts = trimmed(text).split("<tool_call>")
     calls = []
     for place, part in _placed(before, parts, "<tool_call>"):
         inner, closed, rest = part.partition("</tool_call>")
@@ -80,8 +84,7 @@ def read_mistral(text: str) -> TemplateReading:
     Raises:
         MalformedError: neither, or text after the calls.
     """
-    trimmed = _trimmed(text)
-    before, *parts = trimmed.split("[TOOL_CALLS]")
+    before, *parts = trimmed(text).split("[TOOL_CALLS]")
     prose = _thought(before, "[TOOL_CALLS]")
     if len(parts) == 1 and parts[0].lstrip(_SPACE)[:1] == "[":
         where = f"input[{len(before)}]"
@@ -106,8 +109,10 @@ def read_llama(text: str) -> TemplateReading:
     Raises:
         MalformedError: a second tag, text beside the calls, neither form.
     """
-    before, _, body = _trimmed(text).partition("<|python_tag|>")
-    prose, where = _thought(before, "<|python_tag|>"), f"input[{len(before)}]"
+    before, tag, body = trimmed(text).partition("<|python_tag|>")
+    prose, where = _thought(before, tag), f"input[{len(before)}]"
+    if tag in body:
+        raise MalformedError(f"expected `{tag}` once", where=where)
     if body.lstrip(_SPACE)[:1] != "{":
         return TemplateReading(read_code(body, where=where), before=prose)
     items = read_json_sequence(body, where=where)
@@ -122,7 +127,7 @@ def read_pythonic(text: str) -> TemplateReading:
     Raises:
         MalformedError: anything else than one list of calls with literals.
     """
-    return TemplateReading(read_call_list(_trimmed(text), where="input"))
+    return TemplateReading(read_call_list(trimmed(text).lstrip(_SPACE), where="input"))
 
 
 def read_deepseek(text: str) -> TemplateReading:
@@ -131,10 +136,10 @@ def read_deepseek(text: str) -> TemplateReading:
     Raises:
         MalformedError: a tag that is missing, text between or after the calls, broken JSON.
     """
-    before, _, body = _trimmed(text).partition(_BEGIN)
+    before, _, body = trimmed(text).partition(_BEGIN)
     place = len(before) + len(_BEGIN)
-    if not body.endswith(_END):
-        raise MalformedError(f"expected `{_END}` at the end", where=f"input[{len(text)}]")
+    if not body.endswith(_END) or _BEGIN in body or body.count(_END) > 1:
+        raise MalformedError(f"expected `{_END}` once, at the end", where=f"input[{len(text)}]")
     calls = []
     *parts, rest = body[: -len(_END)].split(_CALL_END)
     for part in parts:
@@ -157,18 +162,21 @@ def read_harmony(text: str) -> TemplateReading:
     Raises:
         MalformedError: a message without its end, to another tool, or after the call.
     """
-    trimmed = text.strip(_SPACE)
-    begun = "" if trimmed.startswith("<|start|>") else "<|start|>assistant"  # by the server
-    body, calls, at, prose = begun + trimmed, list[Call](), 0, 0
+    whole = text.strip(_SPACE)
+    begun = "" if whole.startswith("<|start|>") else "<|start|>assistant"  # by the server
+    body, calls, at, prose, is_over = begun + whole, list[Call](), 0, 0, False
     while at < len(body):
         where = f"input[{max(0, at - len(begun))}]"
         head = _HARMONY.match(body, at)
-        end = body.find("<|", head.end()) if head is not None else -1
-        if head is None or end < 0 or calls:
+        if head is None or is_over:
             raise MalformedError("expected whole messages, a call as the last one", where=where)
-        said, name, last = body[head.end() : end], head[1] or head[3], body[end:]
-        mark = "<|call|>" if name else "<|return|>" if head[2] == "final" else "<|end|>"
-        if (head[1] and head[3]) or not last.startswith(mark):
+        end, name = body.find("<|", head.end()), head[1] or head[3]
+        is_over = bool(name) or head[2] == "final"
+        mark = "<|call|>" if name else "<|return|>" if is_over else "<|end|>"
+        if end < 0 and name:  # a server that stops at the mark leaves it out
+            end, mark = len(body), ""
+        said = body[head.end() : end]
+        if (head[1] and head[3]) or end < 0 or not body.startswith(mark, end):
             raise MalformedError(f"expected `{mark}` after the message", where=where)
         if name:
             calls.append(Call(name, expect(read_json(said, where=where), dict, where), where))
@@ -184,16 +192,16 @@ def read_react(text: str) -> TemplateReading:
     Raises:
         MalformedError: a second action, a final answer or an observation beside it, no JSON object.
     """
-    trimmed = _trimmed(text)
-    head = _REACT.search(trimmed)
+    said = trimmed(text).removesuffix("\nObservation:").rstrip(_SPACE)  # where agents stop
+    head = _REACT.search(said)
     if head is None:
         raise MalformedError("expected `Action: name`, then `Action Input: {...}`", where="input")
-    stray = _STRAY.search(trimmed[: head.start()]) or _STRAY.search(trimmed, head.end())
+    stray = _STRAY.search(said[: head.start()]) or _STRAY.search(said, head.end())
     if stray is not None:
         raise MalformedError("expected one action and nothing after it", where="input")
     where = f"input[{head.end()}]"
-    arguments = expect(read_json(trimmed[head.end() :], where=where), dict, where)
-    prose = _thought(trimmed[: head.start()], "Action:")
+    arguments = expect(read_json(said[head.end() :], where=where), dict, where)
+    prose = _thought(said[: head.start()], "Action:")
     return TemplateReading((Call(head[1], arguments, where),), before=prose)
 
 
@@ -201,7 +209,8 @@ def fenced(text: str) -> tuple[str, str, int, int]:
     """Return what the one Markdown fence of a text encloses.
 
     Returns:
-        The text within, its language, and the characters of free text before and after it.
+        The text within at its own place, its language, and the characters of free text before and
+        after it.
 
     Raises:
         MalformedError: more than one fence, or one that is not closed.
@@ -210,15 +219,24 @@ def fenced(text: str) -> tuple[str, str, int, int]:
     if len(marks) != 2 or text.count("```") != 2 or marks[1][1]:
         raise MalformedError("expected one whole fenced block", where="input")
     opens, closes = marks
-    before = _thought(text[: opens.start()], "```")
-    after = len(text[closes.end() :].strip(_SPACE))
-    return text[opens.end() : closes.start()], opens[1], before, after
+    before, rest = _thought(text[: opens.start()], "```"), text[closes.end() :]
+    if _THINKS.search(rest) or _THOUGHT.search(rest):
+        raise MalformedError("expected the model's thoughts to end before the block", where="input")
+    inner = blank(text[: opens.end()]) + text[opens.end() : closes.start()]
+    return inner, opens[1], before, len(rest.strip(_SPACE))
+
+
+def blank(text: str) -> str:
+    """Return text with nothing but its lines, so that what comes after it keeps its place."""
+    return _LETTERS.sub(" ", text)
 
 
 def _named(item: Any, where: str, arguments: str = "arguments") -> Call:
     """Return the call of `{"name", "arguments"}`; an `id` only matches answers to calls."""
     call = expect(item, dict, where)
-    expect_fields(call, {"name", arguments, "id"}, where)
+    expect_fields(call, {"name", arguments, "id", "type"}, where)
+    if call.get("type", "function") != "function":
+        raise MalformedError("expected a call of type `function`", where=f"{where}.type")
     return call_of(call, "name", arguments, where)
 
 
@@ -230,11 +248,12 @@ def _placed(before: str, parts: list[str], tag: str) -> Iterator[tuple[int, str]
         place += len(tag) + len(part)
 
 
-def _trimmed(text: str) -> str:
+def trimmed(text: str) -> str:
     """Return text without the mark of its end, which a server may leave in it."""
-    trimmed = text.strip(_SPACE)
-    end = next(filter(trimmed.endswith, _ENDS), "")
-    return trimmed.removesuffix(end).rstrip(_SPACE)
+    whole = text.rstrip(_SPACE)
+    if not whole.endswith(_ENDS):
+        return whole
+    return whole.removesuffix(next(filter(whole.endswith, _ENDS))).rstrip(_SPACE)
 
 
 def _thought(prose: str, tag: str) -> int:
@@ -243,7 +262,8 @@ def _thought(prose: str, tag: str) -> int:
     Raises:
         MalformedError: what the model thinks in it has not ended, so its calls are thoughts too.
     """
-    if "<think>" in prose.rpartition("</think>")[2]:
+    thought = [end.end() for end in _THOUGHT.finditer(prose)]
+    if _THINKS.search(prose, max(thought, default=0)):
         raise MalformedError(f"expected `</think>` before `{tag}`", where="input")
     return len(prose.strip(_SPACE))
 

@@ -17,6 +17,8 @@ from authguard_r.normalize.dialects.call import (
     call_of,
     expect,
     expect_fields,
+    expect_model,
+    expect_no_call,
     items_of,
     only,
     require_finished,
@@ -25,6 +27,8 @@ from authguard_r.normalize.dialects.call import (
 
 _PROSE = frozenset({"text", "thinking", "redacted_thinking"})
 _REPLY = {"type": "message", "role": "assistant"}
+#: What a server says of a call that the model made, not a program or another tool.
+_ITSELF = (None, {"type": "direct"})
 
 
 def read_openai(value: Any) -> tuple[Call, ...]:
@@ -44,14 +48,14 @@ def read_openai(value: Any) -> tuple[Call, ...]:
     if "choices" in reply:
         choice = only(reply["choices"], "choices")
         require_finished(choice, "finish_reason", {"tool_calls", "stop"}, "choices[0].")
+        expect_no_call(reply, "")
+        expect_no_call(choice, "choices[0].")
         message, where = (
             expect(choice.get("message"), dict, "choices[0].message"),
             "choices[0].message.",
         )
-    if message.get("role", "assistant") != "assistant":
-        raise MalformedError("expected `assistant`", where=f"{where}role")
-    if message.get("function_call") is not None:  # else a call would be dropped in silence (L11)
-        raise MalformedError("expected calls in `tool_calls` only", where=f"{where}function_call")
+    expect_model(message, where)
+    expect_no_call(message, where, "tool_calls")  # else it would be dropped in silence (L11)
     return tuple(
         _openai_call(item, place)
         for item, place in items_of(message.get("tool_calls") or [], f"{where}tool_calls")
@@ -63,6 +67,7 @@ def _openai_call(call: dict[str, Any], where: str) -> Call:
         raise MalformedError("expected a call of type `function`", where=f"{where}.type")
     function = expect(call.get("function"), dict, f"{where}.function")
     place = f"{where}.function"
+    expect_fields(function, {"name", "arguments"}, place)
     name = expect(function.get("name"), str, f"{place}.name")
     return Call(name, spelled(function, place), f"{place}.arguments", f"{place}.name")
 
@@ -81,6 +86,7 @@ def read_responses(value: Any) -> tuple[Call, ...]:
     """
     reply = expect(value, dict, "input")
     require_finished(reply, "status", {"completed"})
+    expect_no_call(reply, "")
     return tuple(_response_calls(reply.get("output")))
 
 
@@ -92,6 +98,8 @@ def _response_calls(output: Any) -> Iterator[Call]:
         if kind != "function_call":
             wanted = "expected `message`, `reasoning` or `function_call`"
             raise MalformedError(wanted, where=f"{where}.type")
+        if item.get("caller") not in _ITSELF:
+            raise MalformedError("expected a call by the model itself", where=f"{where}.caller")
         if item.get("status") is not None:
             require_finished(item, "status", {"completed"}, f"{where}.")
         name = expect(item.get("name"), str, f"{where}.name")
@@ -115,18 +123,20 @@ def read_anthropic(value: Any) -> tuple[Call, ...]:
         if reply.get(name, wanted) != wanted:
             raise MalformedError(f"expected `{wanted}`", where=name)
     require_finished(reply, "stop_reason", {"tool_use", "end_turn"})
+    expect_no_call(reply, "")
     return tuple(_anthropic_calls(reply.get("content")))
 
 
 def _anthropic_calls(blocks: Any) -> Iterator[Call]:
-    for block, where in items_of(blocks, "content"):
+    for given, where in items_of(blocks, "content"):
+        block = {name: item for name, item in given.items() if item is not None}
         kind = expect(block.get("type"), str, f"{where}.type")
         if kind in _PROSE:
             continue
         if kind != "tool_use":
             raise MalformedError("expected text, thinking or `tool_use`", where=f"{where}.type")
         expect_fields(block, {"type", "id", "name", "input", "caller"}, where)
-        if block.get("caller", {"type": "direct"}) != {"type": "direct"}:
+        if block.get("caller") not in _ITSELF:
             raise MalformedError("expected a call by the model itself", where=f"{where}.caller")
         expect(block.get("id"), str, f"{where}.id")
         yield call_of(block, "name", "input", where)
@@ -165,4 +175,5 @@ def _mcp_call(item: Any, where: str) -> Call:
     expect_fields(params, {"name", "arguments", "_meta"}, f"{where}.params")
     meta = expect(params.get("_meta", {}), dict, f"{where}.params._meta")
     expect_fields(meta, {"progressToken"}, f"{where}.params._meta")  # where a client hears of it
-    return call_of({"arguments": {}, **params}, "name", "arguments", f"{where}.params")
+    arguments = {} if params.get("arguments") is None else params["arguments"]
+    return call_of({**params, "arguments": arguments}, "name", "arguments", f"{where}.params")

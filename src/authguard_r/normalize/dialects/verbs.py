@@ -19,6 +19,8 @@ from authguard_r.core.reasons import Reason
 from authguard_r.normalize.dialects.call import Call, expect, numbered
 
 _NUMBERED = re.compile(r"([1-9][0-9]{0,5})[.)] ")
+#: The number of a further step, within one.
+_INNER = re.compile(r"(?<=[^0-9])[0-9]{1,6}[.)] *[A-Za-z]")
 
 
 class _Verb(Struct, frozen=True):
@@ -126,7 +128,7 @@ def _steps(lines: Iterable[tuple[str, str]], *, must_number: bool) -> Iterator[t
         if (int(mark[1]) if mark is not None else None) != (count if counted else None):
             expected = f"the number `{count}.`" if counted else "no number"
             raise MalformedError(f"expected {expected} before the step", where=where)
-        if counted and re.search(rf" {count + 1}[.)] ", step):
+        if _INNER.search(step, mark.end() if mark is not None else 0):
             raise MalformedError("expected each step on a line of its own", where=where)
         yield step[mark.end() if mark is not None else 0 :], where
 
