@@ -167,4 +167,8 @@ def told_json(report: Report, level: Disclosure) -> dict[str, Any]:
     """Return what the planner may know of a report; only that is spelled."""
     if level is Disclosure.FULL:
         return report_json(report)
-    return disclosed(_brief_json(report), level)
+    told = disclosed(_brief_json(report), level)
+    safety = None if report.judged is None else report.judged.safety
+    if safety is not None and not safety.safe:  # else a planner would hear of no reason at all
+        told["safety"] = {"safe": False, "hazards": [str(f.hazard) for f in safety.findings]}
+    return told

@@ -594,6 +594,28 @@ def test_what_could_not_be_read_is_told_as_a_finding_where_the_configuration_sho
     ]
 
 
+@pytest.mark.parametrize("level", Disclosure)
+def test_why_the_safety_gate_does_not_agree_is_told_as_far_as_the_configuration_shows_it(
+    level: Disclosure,
+) -> None:
+    with DemoGate(disclosure=level) as house:
+        house.activate()
+        house.robot.state = msgspec.structs.replace(house.robot.state, human_distance_mm=500)
+        house.advance(500)
+        (step,) = house.propose(planner(house), GO)["steps"]
+    assert (step["outcome"], step["reasons"], step["released"]) == ("accept", [], False)
+    outcome = CallOutcome(step=step)
+    lines = outcome.refusal.splitlines()
+    assert lines[0] == "refused by the safety gate: HUMAN_PROXIMITY"
+    assert lines[-1] == "the same call may pass later"
+    if level is Disclosure.FULL:
+        assert lines[1] == "params.speed_mm_s: at most 300, got 800"
+        return
+    assert step["safety"] == {"safe": False, "hazards": ["HUMAN_PROXIMITY"]}
+    assert len(lines) == 2
+    assert outcome.verdict["safety"] == step["safety"]
+
+
 def test_what_stood_around_the_calls_is_in_the_record_of_each_step() -> None:
     call = json.dumps({"name": "scan", "arguments": {}})
     for text, around in [

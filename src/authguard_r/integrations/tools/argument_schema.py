@@ -40,6 +40,8 @@ _UNITS = {
 }
 #: The last decimal of an end that has no short one.
 _DIGITS = 1_000_000
+#: How many millimeters one of a length is, with nothing added.
+_LENGTHS = {(Fraction(scale), 0) for scale in (1, 10, 1_000)}
 _OBJECT, _STRING = "object", {"type": "string"}
 
 
@@ -100,8 +102,10 @@ class ArgumentSchemas:
                 return {"type": "array", "items": self._name(self._places, "place on the way")}
             case "pose.map":
                 return self._name(self._maps, "map")
-            case to if to in POSE:
+            case to if to in POSE and (Fraction(argument.per_unit), argument.offset) in _LENGTHS:
                 return {"type": "number", "description": f"in {unit_of(argument, 'mm')}"}
+            case to if to in POSE:  # degrees of latitude, or a grid of its own
+                return {"type": "number"}
         return self._number(argument, kind)
 
     def _number(self, argument: Argument, kind: ActionModel) -> Schema:

@@ -27,6 +27,8 @@ T = TypeVar("T")
 
 #: Characters that are noted at a time.
 MAX_NOTED = 30_000
+#: Hazards that may be over at the next try.
+_OF_THE_MOMENT = frozenset({"HUMAN_PROXIMITY", "STATE_UNKNOWN", "NOT_EXECUTABLE"})
 #: What a planner sees of a step beside its outcome, where the gate discloses it.
 SHOWN = ("outcome", "reasons", "findings", "retryable", "required_approvals", "seq")
 
@@ -53,7 +55,17 @@ class CallOutcome(Struct, frozen=True, kw_only=True):
     @property
     def verdict(self) -> dict[str, Any]:
         """What a planner may know of the decision."""
-        return {name: self.step[name] for name in SHOWN if name in self.step}
+        told = {name: self.step[name] for name in SHOWN if name in self.step}
+        return {**told, "safety": self.step["safety"]} if self._hazards else told
+
+    @property
+    def _hazards(self) -> tuple[str, ...]:
+        """Why the safety gate does not agree; empty: it does, or was not asked."""
+        safety = self.step.get("safety")
+        if not isinstance(safety, dict) or safety["safe"]:
+            return ()
+        found = safety.get("findings", ())  # at full disclosure
+        return tuple(safety.get("hazards", ())) or tuple(str(one["hazard"]) for one in found)
 
     @property
     def refusal(self) -> str:
@@ -61,8 +73,12 @@ class CallOutcome(Struct, frozen=True, kw_only=True):
         unread = self.step.get("refusal")  # why nothing was decided: of the call's own text
         told = [{"field": unread["where"], "expected": unread["message"]}] if unread else ()
         places = [_place_text(finding) for finding in told or self.step.get("findings") or ()]
-        same = "may" if self.step.get("retryable") else "will not"
-        said = "refused: " + ", ".join(self.step["reasons"])
+        said, later = "refused: " + ", ".join(self.step["reasons"]), self.step.get("retryable")
+        if self._hazards and not self.step["reasons"]:
+            said = "refused by the safety gate: " + ", ".join(self._hazards)
+            places = [_place_text(one) for one in self.step["safety"].get("findings", ())]
+            later = _OF_THE_MOMENT.issuperset(self._hazards)
+        same = "may" if later else "will not"
         return "\n".join([said, *dict.fromkeys(places), f"the same call {same} pass later"])
 
     @property
