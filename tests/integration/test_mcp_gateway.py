@@ -405,6 +405,17 @@ def test_what_a_tool_shows_is_noted_before_the_planner_is_told(house: DemoGatewa
     assert "station-103" in json.dumps(record.sealed["influences"])
 
 
+def test_null_leaves_an_optional_argument_out_and_no_needed_one(house: DemoGateway) -> None:
+    given = {"destination": None, "speed": None}
+    drove, refused = house.ask(
+        ("navigate_to", {**given, "destination": "Pharmacy"}), ("navigate_to", given)
+    )
+    assert verdict(drove)["execution"] == "succeeded"
+    assert refused.is_error
+    assert "destination: expected the name of a region" in refused.content[0].text
+    assert [call["arguments"]["speed"] for call in house.calls()] == [0.5]
+
+
 @pytest.mark.parametrize(
     ("faults", "outcome"),
     [(("error",), "failed"), (("huge",), "succeeded")],

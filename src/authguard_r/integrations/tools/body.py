@@ -232,7 +232,7 @@ class ToolBody:
             self._ended(Outcome.UNKNOWN)
 
     def _end_beside(self, outcome: Outcome) -> None:
-        """Call off what runs beside; none of it moves the robot."""
+        """Call off every call that runs beside; no such call moves the robot."""
         for task, handle in self._beside.items():
             task.cancel()
             handle.end(outcome)

@@ -127,7 +127,7 @@ class PlanReading(Struct, frozen=True):
     """What a plan says, and in which dialect; never `auto`.
 
     Args:
-        dialect: the one that it was read in.
+        dialect: in which the plan was read.
         calls: in order.
         around: what stood around the calls and was not looked at, for the record: `fence, 12
             characters before it`; empty: nothing did.

@@ -96,7 +96,7 @@ def read_ollama(value: Any) -> tuple[Call, ...]:
         value: the reply as strict JSON spells it; untrusted.
 
     Raises:
-        MalformedError: not such a reply, or one that is not done.
+        MalformedError: it is not such a reply, or it is not finished.
     """
     reply = expect(value, dict, "input")
     expect_no_call(reply, "")
@@ -134,7 +134,9 @@ def read_langchain(value: Any) -> tuple[Call, ...]:
             expect_no_call(message, where)
             message, where = message[inner], f"{inner}."
             kind = message.get("type", kind)
-    if kind not in _AI or message.get("tool_call_chunks"):  # of a chunk, LangChain mends arguments
+    if kind not in _AI or message.get(
+        "tool_call_chunks"
+    ):  # LangChain completes a chunk's arguments
         raise MalformedError("expected a whole message of type `ai`", where=f"{where}type")
     if message.get("invalid_tool_calls"):
         text = "expected none: the framework could not read this call"

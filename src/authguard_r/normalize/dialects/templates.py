@@ -213,7 +213,7 @@ def fenced(text: str) -> tuple[str, str, int, int]:
         after it.
 
     Raises:
-        MalformedError: more than one fence, or one that is not closed.
+        MalformedError: the text has several fences, or an open one.
     """
     marks = list(_FENCE.finditer(text))
     if len(marks) != 2 or text.count("```") != 2 or marks[1][1]:
